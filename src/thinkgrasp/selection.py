@@ -1,0 +1,80 @@
+"""Which grasp to take: the k x k cell of the target's box, and the best of the N grasps nearest to it.
+
+References:
+    Qian et al., ThinkGrasp, CoRL 2024, section 3.3: preferred location in a 3x3 grid over the cropped target; the best
+    scoring of the 10 grasps nearest to it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thinkgrasp.types import Array, BoxXYXY, Grasps, Mask
+
+
+def cell_box(box_xyxy: BoxXYXY, grid: int, cell: int) -> tuple[float, float, float, float]:
+    """Return the sub-box of a cell, numbered row by row from 1 at the top-left to grid*grid.
+
+    Raises:
+        ValueError: The grid is not positive or the cell is outside 1..grid*grid.
+    """
+    if grid < 1 or not 1 <= cell <= grid * grid:
+        raise ValueError(f"cell must be in 1..{grid * grid} for a {grid}x{grid} grid, got {cell}")
+    x0, y0, x1, y1 = box_xyxy
+    row, column = divmod(cell - 1, grid)
+    w, h = (x1 - x0) / grid, (y1 - y0) / grid
+    return x0 + column * w, y0 + row * h, x0 + (column + 1) * w, y0 + (row + 1) * h
+
+
+def cell_center(box_xyxy: BoxXYXY, grid: int, cell: int) -> tuple[float, float]:
+    """Return the centre (u, v) [px] of a cell of a half-open box; pixel centres are at integers."""
+    x0, y0, x1, y1 = cell_box(box_xyxy, grid, cell)
+    return (x0 + x1 - 1) / 2, (y0 + y1 - 1) / 2
+
+
+def cell_of(box_xyxy: BoxXYXY, grid: int, pixel: tuple[float, float]) -> int:
+    """Return the cell that holds a pixel (u, v); pixels outside the box count to the nearest cell."""
+    x0, y0, x1, y1 = box_xyxy
+    column = int(np.clip((pixel[0] + 0.5 - x0) / max(x1 - x0, 1) * grid, 0, grid - 1))
+    row = int(np.clip((pixel[1] + 0.5 - y0) / max(y1 - y0, 1) * grid, 0, grid - 1))
+    return row * grid + column + 1
+
+
+def preferred_point(points: Array, mask: Mask, box_xyxy: BoxXYXY, grid: int, cell: int) -> NDArray[np.float64] | None:
+    """Lift the centre of the chosen cell to 3-D.
+
+    The cell's centre need not lie on the object (a bowl's rim, a mug's handle), so the masked pixel with depth that is
+    nearest to it in the image is taken.
+
+    Args:
+        points: Organised cloud (H, W, 3) [m], camera frame; NaN = no return.
+        mask: Target (H, W).
+        box_xyxy: Its bounding box [px].
+        grid: Cells per side.
+        cell: 1..grid*grid, row by row.
+
+    Returns:
+        (3,) [m] in the camera frame; None when no masked pixel has depth.
+    """
+    v, u = np.nonzero(mask & np.isfinite(points[..., 2]))
+    if len(u) == 0:
+        return None
+    cu, cv = cell_center(box_xyxy, grid, cell)
+    nearest = int(np.argmin((u - cu) ** 2 + (v - cv) ** 2))
+    return points[v[nearest], u[nearest]].astype(np.float64)
+
+
+def rank_grasps(grasps: Grasps, point: NDArray[np.float64], n_nearest: int = 10) -> NDArray[np.intp]:
+    """Order the `n_nearest` grasps nearest to `point` (3,) [m] by score, best first.
+
+    Ties in distance keep the lower index, ties in score the nearer grasp, so the result does not depend on chance.
+
+    Raises:
+        ValueError: n_nearest is not positive.
+    """
+    if n_nearest < 1:
+        raise ValueError(f"n_nearest must be at least 1, got {n_nearest}")
+    distance = np.linalg.norm(grasps.positions.astype(np.float64) - point, axis=1)
+    nearest = np.argsort(distance, kind="stable")[:n_nearest]
+    return nearest[np.argsort(-grasps.scores[nearest], kind="stable")]
