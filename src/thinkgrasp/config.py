@@ -235,8 +235,9 @@ def from_json(text: str) -> PipelineConfig:
 
 
 def _gripper_from_dict(data: dict[str, Any]) -> Gripper:
+    values: dict[str, Any] = {k: tuple(cast(list[float], v)) if isinstance(v, list) else v for k, v in data.items()}
     try:
-        return Gripper(**{k: tuple(cast(list[float], v)) if isinstance(v, list) else v for k, v in data.items()})
+        return Gripper(**values)
     except TypeError as error:
         raise ConfigError(f"gripper: {error}") from error
 

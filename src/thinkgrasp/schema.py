@@ -1,6 +1,6 @@
 """The Decision as JSON: one versioned schema for the command line, the server and the recorder.
 
-All positions, rotations and the preferred point are in one frame: "world" when the camera's pose is known, else "camera".
+All positions, rotations and the preferred point share one frame: "world" when the camera pose is known, else "camera".
 """
 
 from __future__ import annotations

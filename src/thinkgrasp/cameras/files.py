@@ -261,7 +261,7 @@ def _open(path: Path, what: str) -> Image.Image:
     if image.width * image.height > MAX_PIXELS:
         image.close()
         raise InputError(
-            f"{what} image {path} is {image.width}x{image.height}, more than the {MAX_PIXELS // 10**6} megapixels allowed"
+            f"{what} image {path} is {image.width}x{image.height}; at most {MAX_PIXELS // 10**6} megapixels are allowed"
         )
     return image
 

@@ -1,0 +1,343 @@
+"""The `thinkgrasp` command. stdout is the result, stderr the progress and errors.
+
+Exit codes: 0 a grasp, 1 no grasp or no target, 2 bad input or configuration, 3 a bug in thinkgrasp or a plug-in.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from tyro.conf import Positional, UseAppendAction, arg, subcommand
+
+from thinkgrasp import __version__
+from thinkgrasp.errors import ConfigError, InputError, ThinkGraspError
+from thinkgrasp.outputs import check_writable, make_folder, one_line, write_atomic
+
+if TYPE_CHECKING:
+    from thinkgrasp.config import PipelineConfig
+    from thinkgrasp.gripper import Gripper
+    from thinkgrasp.types import Decision, Frame
+
+OVERLAY_SUFFIXES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
+DONE, NOTHING, BAD_INPUT, BUG, INTERRUPTED = 0, 1, 2, 3, 130
+
+
+@dataclass(frozen=True)
+class StageOptions:
+    """Which stages run, and with which settings."""
+
+    preset: Annotated[str, arg(metavar="NAME|FILE")] = "offline"
+    """A preset (see `thinkgrasp presets`) or a configuration saved as JSON."""
+    gripper: Annotated[str | None, arg(metavar="NAME|FILE")] = None
+    """Built-in gripper or a JSON file with its geometry."""
+    seed: Annotated[int | None, arg(metavar="INT")] = None
+    """Seed of everything random."""
+    scene: Annotated[str | None, arg(metavar="NAME")] = None
+    """Scene plug-in; "none" turns proposals and graph off (the paper's strict mode)."""
+    planner: Annotated[str | None, arg(metavar="NAME")] = None
+    """Planner plug-in (see `thinkgrasp plugins`)."""
+    segmenter: Annotated[str | None, arg(metavar="NAME")] = None
+    """Segmenter plug-in."""
+    generator: Annotated[str | None, arg(metavar="NAME")] = None
+    """Grasp generator plug-in."""
+    set: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")] = ()
+    """One setting, for example planner.grid=4 or checks.collision.voxel_m=0.002."""
+    debug: bool = False
+    """Show the traceback of an error."""
+
+
+@dataclass(frozen=True)
+class GraspCommand:
+    """Find a grasp for an instruction on one RGB-D frame."""
+
+    color: Annotated[Positional[Path], arg(metavar="COLOR")]
+    """Colour image."""
+    depth: Annotated[Positional[Path], arg(metavar="DEPTH")]
+    """Depth image aligned to it: 16-bit PNG or TIFF, float TIFF, or .npy."""
+    instruction: Annotated[Positional[str], arg(metavar="INSTRUCTION")]
+    """What to take, for example "the red box"."""
+    camera: Path
+    """Camera file: width, height, fx, fy, cx, cy, optional depth_scale and T_world_camera."""
+    depth_scale: Annotated[float | None, arg(metavar="M_PER_UNIT")] = None
+    """Metres per unit of the depth image; overrides the camera file (default 0.001)."""
+    workspace_mask: Annotated[Path | None, arg(metavar="PATH")] = None
+    """Image of the same size; non-zero = grasping is allowed."""
+    json: bool = False
+    """Print the decision as JSON."""
+    overlay: Annotated[Path | None, arg(metavar="PATH")] = None
+    """Write the annotated image here (.png, .jpg, .webp)."""
+    view: Annotated[Path | None, arg(metavar="PATH")] = None
+    """Write the 3-D view here (.html)."""
+    stages: tyro.conf.OmitArgPrefixes[StageOptions] = StageOptions()
+
+    def run(self) -> int:
+        """Carry the command out and return the exit code."""
+        inputs = [p for p in (self.color, self.depth, self.camera, self.workspace_mask) if p is not None]
+        _check_outputs(self.overlay, self.view, inputs)
+
+        from thinkgrasp.cameras.files import load_frame
+        from thinkgrasp.config import make_pipeline
+        from thinkgrasp.pipeline import check_instruction
+
+        check_instruction(self.instruction)
+        config = _configure(self.stages)
+        frame = load_frame(
+            self.color, self.depth, self.camera, depth_scale=self.depth_scale, workspace_mask=self.workspace_mask
+        )
+        pipeline = make_pipeline(config)
+        decision = pipeline.decide(frame, self.instruction)
+        _write_pictures(decision, pipeline.gripper, self.overlay, self.view)
+        _print_decision(decision, as_json=self.json)
+        return DONE if decision.status == "grasp" else NOTHING
+
+
+@dataclass(frozen=True)
+class DemoCommand:
+    """Render a table top, find a grasp on it, and write everything into a folder."""
+
+    instruction: Annotated[Positional[str], arg(metavar="INSTRUCTION")] = "something to drink from"
+    """What to take."""
+    out: Path = Path("out/demo")
+    """Folder for color.png, depth.png, camera.json, decision.json, config.json, overlay.png and view.html."""
+    json: bool = False
+    """Print the decision as JSON."""
+    stages: tyro.conf.OmitArgPrefixes[StageOptions] = StageOptions()
+
+    def run(self) -> int:
+        """Carry the command out and return the exit code."""
+        from thinkgrasp.cameras.files import load_frame
+        from thinkgrasp.cameras.saving import save_frame
+        from thinkgrasp.config import make_pipeline, to_json
+        from thinkgrasp.pipeline import check_instruction
+        from thinkgrasp.schema import decision_to_schema
+
+        check_instruction(self.instruction)
+        config = _configure(self.stages)
+        pipeline = make_pipeline(config)
+        make_folder(self.out)
+        _progress("rendering the table top")
+        frame = load_frame(*save_frame(demo_frame(config.seed), self.out))
+        _progress(f"deciding: {self.instruction}")
+        decision = pipeline.decide(frame, self.instruction)
+        write_atomic(self.out / "decision.json", decision_to_schema(decision).to_json(indent=2).encode())
+        write_atomic(self.out / "config.json", to_json(config).encode())
+        _write_pictures(decision, pipeline.gripper, self.out / "overlay.png", self.out / "view.html")
+        _print_decision(decision, as_json=self.json)
+        _progress(f"the frame, the decision, overlay.png and view.html are in {self.out.resolve()}")
+        return DONE if decision.status == "grasp" else NOTHING
+
+
+@dataclass(frozen=True)
+class DoctorCommand:
+    """Say what is installed, what each missing extra would enable, and whether a decision works here."""
+
+    debug: bool = False
+    """Show the traceback of an error."""
+
+    def run(self) -> int:
+        """Carry the command out and return the exit code."""
+        from thinkgrasp import doctor
+
+        healthy = doctor.report(sys.stdout)
+        return DONE if healthy else NOTHING
+
+
+@dataclass(frozen=True)
+class PluginsCommand:
+    """List the installed plug-ins by stage."""
+
+    debug: bool = False
+    """Show the traceback of an error."""
+
+    def run(self) -> int:
+        """Carry the command out and return the exit code."""
+        from thinkgrasp import registry
+
+        for kind in registry.KINDS:
+            points = registry.available(kind)
+            print(f"{kind}:" + ("" if points else " none"))
+            for name, point in points.items():
+                source = point.dist.name if point.dist is not None else "unknown package"
+                print(f"  {name:<18} {point.value}  [{source}]")
+        return DONE
+
+
+@dataclass(frozen=True)
+class PresetsCommand:
+    """List the presets and the stages that each of them runs."""
+
+    debug: bool = False
+    """Show the traceback of an error."""
+
+    def run(self) -> int:
+        """Carry the command out and return the exit code."""
+        from thinkgrasp.config import PRESET_NOTES, PRESETS
+
+        for name, config in PRESETS.items():
+            print(f"{name}: {PRESET_NOTES.get(name, '')}")
+            stages = {
+                "scene": config.scene.name if config.scene else "none (strict mode)",
+                "planner": config.planner.name,
+                "segmenter": config.segmenter.name,
+                "generator": config.generator.name,
+                "checks": ", ".join(c.name for c in config.checks),
+            }
+            for stage, chosen in stages.items():
+                print(f"  {stage:<10} {chosen}")
+        return DONE
+
+
+Command = (
+    Annotated[GraspCommand, subcommand("grasp")]
+    | Annotated[DemoCommand, subcommand("demo")]
+    | Annotated[DoctorCommand, subcommand("doctor")]
+    | Annotated[PluginsCommand, subcommand("plugins")]
+    | Annotated[PresetsCommand, subcommand("presets")]
+)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit code; never raises for bad input."""
+    args = list(sys.argv[1:] if argv is None else argv)
+    if args == ["--version"]:
+        print(f"thinkgrasp {__version__}")
+        return DONE
+    debug = "--debug" in args
+    try:
+        command = _parse(args)
+        if isinstance(command, int):
+            return command
+        code = command.run()
+        sys.stdout.flush()
+        return code
+    except ThinkGraspError as error:
+        return _fail(error, BAD_INPUT, one_line(error), debug=debug)
+    except BrokenPipeError:
+        # Whoever read our output has gone; keep the interpreter from complaining when it flushes at exit.
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except MemoryError as error:
+        return _fail(error, BAD_INPUT, "out of memory: the images are too large for this machine", debug=debug)
+    except Exception as error:
+        message = one_line(f"{type(error).__name__}: {error}")
+        return _fail(error, BUG, f"{message} (this is a bug; --debug shows where)", debug=debug)
+
+
+def demo_frame(seed: int) -> Frame:
+    """Return the rendered frame of the demonstration scene, the same for the same seed."""
+    import numpy as np
+
+    from thinkgrasp.sim.tabletop import demo_camera, demo_scene, render
+
+    return render(demo_scene(seed), *demo_camera(), rng=np.random.default_rng(seed)).frame
+
+
+def _parse(args: list[str]) -> GraspCommand | DemoCommand | DoctorCommand | PluginsCommand | PresetsCommand | int:
+    errors = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(errors):
+            return tyro.cli(
+                Command,  # type: ignore[arg-type]
+                prog="thinkgrasp",
+                description="An RGB-D frame and a sentence in, a 6-DoF two-finger grasp out.",
+                args=args,
+                config=(tyro.conf.FlagCreatePairsOff,),
+            )
+    except SystemExit as stop:
+        if not stop.code:
+            return DONE
+        raise ConfigError(_usage_message(errors.getvalue())) from None
+
+
+def _usage_message(panel: str) -> str:
+    """Turn tyro's boxed report into one line: without title, help texts (indented deeper) and pointers."""
+    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in panel.splitlines()]
+    said = [line.strip("│ ") for line in lines if line.startswith("│") and not line.startswith("│" + 9 * " ")]
+    text = one_line(" ".join(line for line in said if line.strip("─")))
+    text = re.split(r" ?(?:For full helptext|Argument helptext:)", text)[0]
+    return f"{text or 'the command line cannot be read'} (see thinkgrasp --help)"
+
+
+def _fail(error: BaseException, code: int, message: str, *, debug: bool) -> int:
+    if debug:
+        traceback.print_exception(error, file=sys.stderr)
+    print(f"error: {message}", file=sys.stderr)
+    return code
+
+
+def _progress(text: str) -> None:
+    print(one_line(text), file=sys.stderr)
+
+
+def _configure(options: StageOptions) -> PipelineConfig:
+    from thinkgrasp.config import load_config, override, parse_assignment
+
+    config = load_config(options.preset)
+    if options.scene is not None:
+        config = override(config, "scene", None if options.scene == "none" else options.scene)
+    for key in ("planner", "segmenter", "generator", "gripper", "seed"):
+        value = getattr(options, key)
+        if value is not None:
+            config = override(config, key, value)
+    for assignment in options.set:
+        config = override(config, *parse_assignment(assignment))
+    return config
+
+
+def _check_outputs(overlay: Path | None, view: Path | None, inputs: Sequence[Path]) -> None:
+    if overlay is not None:
+        if overlay.suffix.lower() not in OVERLAY_SUFFIXES:
+            raise InputError(f"--overlay {overlay} must end in {', '.join(OVERLAY_SUFFIXES)}")
+        check_writable(overlay, "--overlay", inputs=inputs)
+    if view is not None:
+        if view.suffix.lower() not in (".html", ".htm"):
+            raise InputError(f"--view {view} must end in .html")
+        check_writable(view, "--view", inputs=inputs)
+
+
+def _write_pictures(decision: Decision, gripper: Gripper, overlay: Path | None, view: Path | None) -> None:
+    if overlay is not None:
+        from thinkgrasp.viz.overlay import draw_overlay
+
+        buffer = io.BytesIO()
+        draw_overlay(decision, gripper).convert("RGB").save(buffer, OVERLAY_SUFFIXES[overlay.suffix.lower()])
+        write_atomic(overlay, buffer.getvalue())
+    if view is not None:
+        import tempfile
+
+        from thinkgrasp.viz.view import write_view
+
+        with tempfile.TemporaryDirectory() as folder:
+            draft = Path(folder) / "view.html"
+            write_view(decision, gripper, draft)
+            write_atomic(view, draft.read_bytes())
+
+
+def _print_decision(decision: Decision, *, as_json: bool) -> None:
+    from thinkgrasp.schema import decision_to_schema
+
+    model = decision_to_schema(decision)
+    if as_json:
+        print(model.to_json(indent=2))
+        return
+    from thinkgrasp.summary import print_summary
+
+    print_summary(model, decision, sys.stdout)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
