@@ -209,7 +209,7 @@ def _shade(scene: TabletopScene, buffers: _Buffers, T_world_camera: Float) -> Fl
     """Lambert with ambient light and shadows, (H, W, 3) in 0..1."""
     hit = np.isfinite(buffers.depth) & (buffers.depth <= FAR_M)
     normals = buffers.normals[hit]
-    points = T_world_camera[:3, 3] + buffers.depth[hit][:, None] * buffers.directions[hit] + 1e-4 * normals
+    points = T_world_camera[:3, 3] + buffers.depth[hit][:, None] * buffers.directions[hit] + 8e-4 * normals
     lights = LIGHTS / np.linalg.norm(LIGHTS, axis=1, keepdims=True)
     diffuse = np.zeros(len(points))
     for light in lights:
