@@ -1,0 +1,247 @@
+"""The surface of one object as far as one view tells: what is seen, and what symmetry and the support say of the rest.
+
+Two sources complete the seen points, and neither may enter space that the camera saw to be free:
+the object turned by half a turn about its vertical axis (boxes, cans, balls, bowls, boxes on their side), and a curtain
+that hangs from the occluding contour down to the support (anything that is not undercut).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from thinkgrasp.geometry import voxel_downsample
+from thinkgrasp.types import Mask, Scene
+
+Float = NDArray[np.float32]
+
+_FREE_TOLERANCE_M = 0.006
+_MAX_VIOLATION = 0.12
+_CURTAIN_STEP_M = 0.006
+_CURTAIN_DEPTH_M = 0.08
+
+
+@dataclass(frozen=True, eq=False)
+class Upright:
+    """Directions that grasping is measured against, camera frame."""
+
+    up: Float
+    """(3,) unit; the support's normal, or back along the view where no support is known."""
+    away: Float
+    """(3,) unit, perpendicular to `up`, pointing away from the camera."""
+    offset_m: float
+    """Height of the camera's origin above the support; inf where no support is known."""
+
+    def height(self, points: Float) -> Float:
+        """Height (N,) [m] of points (N, 3) above the support; inf where no support is known."""
+        return points @ self.up + np.float32(self.offset_m)
+
+    @classmethod
+    def of(cls, scene: Scene, points: Float) -> Upright:
+        """Take the support's normal, or the view onto these points (N, 3) where there is no support."""
+        view = points.mean(axis=0)
+        view = view / np.linalg.norm(view)
+        if scene.support is None:
+            up, offset = -view, np.inf
+        else:
+            up, offset = scene.support.normal.astype(np.float32), scene.support.offset_m
+        away = view - (view @ up) * up
+        if np.linalg.norm(away) < 0.05:
+            down_image = np.array([0, -1, 0], np.float32)
+            away = down_image - (down_image @ up) * up
+        return cls(up.astype(np.float32), (away / np.linalg.norm(away)).astype(np.float32), float(offset))
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Oriented points of one object, seen ones first."""
+
+    points: Float
+    """(N, 3) [m]."""
+    normals: Float
+    """(N, 3) unit, outward."""
+    seen: NDArray[np.bool_]
+    """(N,) measured by the camera, not inferred."""
+    wanted: NDArray[np.bool_]
+    """(N,) seen inside the crop, or inferred from such a point."""
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+def depth_gap(scene: Scene, points: Float) -> Float:
+    """Return how far (N,) [m] points (N, 3) lie before (+, seen to be free) or behind (-, hidden) the seen surface.
+
+    NaN where the point falls outside the image, behind the camera, or on a pixel without depth.
+    """
+    camera = scene.frame.camera
+    gap = np.full(len(points), np.nan, np.float32)
+    front = np.flatnonzero(points[:, 2] > 0.01)
+    p = points[front]
+    u = np.rint(p[:, 0] / p[:, 2] * camera.fx + camera.cx)
+    v = np.rint(p[:, 1] / p[:, 2] * camera.fy + camera.cy)
+    inside = (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    z = scene.points[v[inside].astype(np.intp), u[inside].astype(np.intp), 2]
+    gap[front[inside]] = z - p[inside, 2]
+    return gap
+
+
+def estimate_normals(points: Float, neighbours: int = 16) -> Float:
+    """Estimate unit normals (N, 3) of points (N, 3) by local plane fits, turned towards the camera (the origin)."""
+    k = min(neighbours, len(points))
+    if k < 3:
+        return -points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-9)
+    local = points[cKDTree(points).query(points, k=k)[1]].astype(np.float64)
+    local -= local.mean(axis=1, keepdims=True)
+    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))[1][:, :, 0].astype(np.float32)
+    return np.where(np.sum(normals * points, axis=1, keepdims=True) > 0, -normals, normals)
+
+
+def seen_surface(scene: Scene, mask: Mask, crop: Mask, max_points: int, voxel_m: float) -> Surface | None:
+    """Sample what the camera saw under `mask`, evenly and without lone points; None where there is too little.
+
+    Args:
+        scene: Gives the cloud and, where known, its normals.
+        mask: The object (H, W).
+        crop: Where grasps are wanted (H, W).
+        max_points: The voxel grows until about this many points are left.
+        voxel_m: Smallest voxel [m].
+    """
+    v, u = np.nonzero(mask & np.isfinite(scene.points[..., 2]))
+    if len(u) < 8:
+        return None
+    points = scene.points[v, u]
+    keep = voxel_downsample(points, voxel_m)
+    if len(keep) > max_points:
+        keep = voxel_downsample(points, voxel_m * np.sqrt(len(keep) / max_points))
+    p = points[keep]
+    spacing = cKDTree(p).query(p, k=min(5, len(p)))[0][:, -1]
+    lone = spacing > 4 * max(float(np.median(spacing)), voxel_m)
+    keep, p = keep[~lone], p[~lone]
+    if len(p) < 8:
+        return None
+    normals = np.full_like(p, np.nan) if scene.normals is None else scene.normals[v[keep], u[keep]].copy()
+    unknown = ~np.isfinite(normals).all(axis=1)
+    if unknown.any():
+        normals[unknown] = estimate_normals(p)[unknown]
+    return Surface(p, normals, np.ones(len(p), bool), crop[v[keep], u[keep]])
+
+
+def half_turn(scene: Scene, seen: Surface, upright: Upright) -> Surface | None:
+    """Complete a surface by half a turn about the vertical axis that explains the view best.
+
+    Axes are scored by how much of the turned surface coincides with what is seen and how much of it falls into space
+    that was seen to be free. Of equally good axes the nearest to the camera wins (the thinnest object).
+
+    Returns:
+        The turned points that the camera could not see; None when no axis explains the view.
+
+    References:
+        Bohg et al., Mind the gap - robotic grasping under incomplete observation, ICRA 2011.
+    """
+    side = np.cross(upright.up, upright.away)
+    along, across = seen.points @ upright.away, seen.points @ side
+    rows = np.linspace(0, len(seen) - 1, min(len(seen), 160)).astype(np.intp)
+    front, back = np.quantile(along, [0.02, 0.98])
+    left, right = np.quantile(across, [0.02, 0.98])
+    reach = max(back - front, 0.5 * (right - left), 0.01)
+    width = max(right - left, 0.01)
+    centre = np.array([front + 0.55 * reach, (left + right) / 2])
+    steps = np.array([0.5 * reach / 6, 0.24 * width / 3])
+    best = np.full(3, -np.inf)
+    for _ in range(2):
+        grid = np.stack(np.meshgrid(np.arange(-6, 7), np.arange(-3, 4), indexing="ij"), -1).reshape(-1, 2)
+        axes = centre + grid * steps
+        turned = (
+            2 * (seen.points[rows] @ upright.up)[None, :, None] * upright.up
+            - seen.points[rows][None]
+            + 2 * (axes[:, :1, None] * upright.away + axes[:, 1:, None] * side)
+        ).astype(np.float32)
+        gap = depth_gap(scene, turned.reshape(-1, 3)).reshape(len(axes), -1)
+        free = (gap > _FREE_TOLERANCE_M).mean(axis=1)
+        match = (np.abs(gap) <= _FREE_TOLERANCE_M).mean(axis=1)
+        score = match - 2 * free - 0.1 * (axes[:, 0] - front) / width
+        winner = int(np.argmax(score))
+        best = np.array([score[winner], free[winner], 0.0])
+        centre = axes[winner]
+        steps = steps / 6
+    if best[1] > _MAX_VIOLATION:
+        return None
+    base = (centre[0] * upright.away + centre[1] * side).astype(np.float32)
+    points = 2 * (seen.points @ upright.up)[:, None] * upright.up - seen.points + 2 * base
+    normals = 2 * (seen.normals @ upright.up)[:, None] * upright.up - seen.normals
+    hidden = ~(depth_gap(scene, points) > -_FREE_TOLERANCE_M)
+    return Surface(points[hidden], normals[hidden], np.zeros(int(hidden.sum()), bool), seen.wanted[hidden])
+
+
+def contour_curtain(scene: Scene, mask: Mask, crop: Mask, upright: Upright, max_points: int) -> Surface:
+    """Infer surface from the occluding contour: the contour itself, and a curtain from it down to the support.
+
+    At an occluding contour the surface turns away from the camera, so its normal is perpendicular to the ray and to
+    the outline. Below it, what cannot be seen is taken to be no narrower.
+    """
+    empty = Surface(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, bool), np.zeros(0, bool))
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if len(rows) == 0:
+        return empty
+    pad = 6
+    y0, x0 = max(rows[0] - pad, 0), max(columns[0] - pad, 0)
+    window = (slice(y0, rows[-1] + 1 + pad), slice(x0, columns[-1] + 1 + pad))
+    m = mask[window]
+    z = scene.points[window][..., 2]
+    smooth = ndimage.gaussian_filter(m.astype(np.float32), 2.0, mode="nearest")
+    inner = m & ~ndimage.binary_erosion(m, iterations=2, border_value=1) & np.isfinite(z)
+    inner &= ndimage.binary_erosion(m, border_value=1)
+    v, u = np.nonzero(inner)
+    if len(v) == 0:
+        return empty
+    gv = -(smooth[np.minimum(v + 1, m.shape[0] - 1), u] - smooth[np.maximum(v - 1, 0), u])
+    gu = -(smooth[v, np.minimum(u + 1, m.shape[1] - 1)] - smooth[v, np.maximum(u - 1, 0)])
+    length = np.hypot(gu, gv)
+    outline = np.stack([gu, gv], -1) / np.maximum(length, 1e-6)[:, None]
+    ov = np.clip(np.rint(v + 4 * outline[:, 1]).astype(np.intp), 0, m.shape[0] - 1)
+    ou = np.clip(np.rint(u + 4 * outline[:, 0]).astype(np.intp), 0, m.shape[1] - 1)
+    step_m = 0.004
+    occluding = (length > 1e-3) & ~m[ov, ou] & ~(z[ov, ou] < z[v, u] + step_m)
+    chosen = np.flatnonzero(occluding)
+    if len(chosen) == 0:
+        return empty
+    chosen = chosen[np.linspace(0, len(chosen) - 1, min(len(chosen), max_points)).astype(np.intp)]
+    v, u, outline = v[chosen], u[chosen], outline[chosen]
+    p = scene.points[window][v, u]
+    ray = p / np.linalg.norm(p, axis=1, keepdims=True)
+    normal = np.concatenate([outline, np.zeros((len(p), 1))], axis=1).astype(np.float32)
+    normal -= np.sum(normal * ray, axis=1, keepdims=True) * ray
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    p = p + normal * (1.5 * p[:, 2:] / np.float32(scene.frame.camera.fx))
+    wanted = crop[window][v, u]
+
+    level = normal - (normal @ upright.up)[:, None] * upright.up
+    tilt = np.linalg.norm(level, axis=1)
+    hangs = tilt > 0.4
+    drops = np.arange(1, int(_CURTAIN_DEPTH_M / _CURTAIN_STEP_M) + 1, dtype=np.float32) * _CURTAIN_STEP_M
+    below = (p[hangs][:, None] - drops[None, :, None] * upright.up).reshape(-1, 3)
+    below_normal = np.repeat(level[hangs] / tilt[hangs, None], len(drops), axis=0)
+    below_wanted = np.repeat(wanted[hangs], len(drops))
+    good = ~(depth_gap(scene, below) > _FREE_TOLERANCE_M) & (upright.height(below) > 0.003)
+    points = np.concatenate([p, below[good]])
+    return Surface(
+        points,
+        np.concatenate([normal, below_normal[good]]),
+        np.zeros(len(points), bool),
+        np.concatenate([wanted, below_wanted[good]]),
+    )
+
+
+def join(parts: list[Surface]) -> Surface:
+    """Concatenate surfaces in the given order."""
+    return Surface(
+        np.concatenate([s.points for s in parts]),
+        np.concatenate([s.normals for s in parts]),
+        np.concatenate([s.seen for s in parts]),
+        np.concatenate([s.wanted for s in parts]),
+    )
