@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from pathlib import Path
 
@@ -255,11 +256,10 @@ def _open(path: Path, what: str) -> Image.Image:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            image = Image.open(path)
+            image = Image.open(io.BytesIO(path.read_bytes()))
         except Exception as error:  # decoders raise many types on broken data
             raise _undecodable(path, what, error) from error
     if image.width * image.height > MAX_PIXELS:
-        image.close()
         raise InputError(
             f"{what} image {path} is {image.width}x{image.height}; at most {MAX_PIXELS // 10**6} megapixels are allowed"
         )
@@ -293,9 +293,7 @@ def _undecodable(path: Path, what: str, error: Exception) -> InputError:
 def _load_npy(path: Path, what: str) -> NDArray[np.generic]:
     require_file(path, f"{what} array")
     try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-        if not isinstance(array, np.ndarray):
-            raise ValueError("it is an archive, not one array")
+        array = np.lib.format.open_memmap(path, mode="r")
         if array.size > 4 * MAX_PIXELS:
             raise ValueError(f"its shape {array.shape} is too large")
         return np.array(array)
