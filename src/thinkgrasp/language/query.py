@@ -1,0 +1,444 @@
+"""What a sentence asks for: names, categories, uses, attributes, places, relations and parts.
+
+Parsing is by rules over known words; nothing is learned and nothing in the text is ever executed. What no rule
+understands is kept in `Query.unknown`, so that a planner can say so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from thinkgrasp.language.vocabulary import Lexeme, load_vocabulary, read, stem
+
+MAX_LANDMARK_DEPTH = 2
+
+_USE_MARKERS = frozenset("to can for could i me we must should will wanna gonna let and then who".split())
+_NOUN_USES = frozenset({"drink"})
+_STATES = frozenset("thirsty hungry starving headache sick ill thirst hunger edible".split())
+_INSTRUMENT_MARKERS = frozenset({"with", "using", "use"})
+_VIEW_OF_RELATION = {"left of": "left", "right of": "right", "in front of": "front", "behind": "back"}
+_PRONOUNS = frozenset("i you we it that which they one someone robot".split())
+_PART_MARKERS = frozenset({"by", "at", "from"})
+
+
+@dataclass(frozen=True)
+class ColorWish:
+    """A colour that was asked for, with its tone: "", "dark" or "light"."""
+
+    word: str
+    tone: str = ""
+
+
+@dataclass(frozen=True)
+class Superlative:
+    """The most extreme thing by a key (biggest, leftmost, nearest, ...); rank 2 = the second."""
+
+    key: str
+    rank: int = 1
+
+
+@dataclass(frozen=True)
+class RelationWish:
+    """A place relative to other things: next to, behind, in front of, on, under, in, left of, right of, between."""
+
+    kind: str
+    landmarks: tuple[Wanted, ...]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """One thing that was asked for; empty fields were not said."""
+
+    names: tuple[str, ...] = ()
+    """Known object names, alternatives to each other."""
+    categories: tuple[str, ...] = ()
+    uses: tuple[str, ...] = ()
+    colors: tuple[ColorWish, ...] = ()
+    any_color: bool = False
+    """The colours are alternatives ("red or blue") rather than all wanted ("red and white")."""
+    shapes: tuple[str, ...] = ()
+    sizes: tuple[str, ...] = ()
+    """Of small, big, tall, short."""
+    superlative: Superlative | None = None
+    views: tuple[str, ...] = ()
+    """Of left, right, middle, front, back of the view."""
+    relations: tuple[RelationWish, ...] = ()
+    part: str | None = None
+    """The word for the part to take it by."""
+    anything: bool = False
+    """Any object will do."""
+    said: str = ""
+    """The noun as it was said, for labels."""
+
+    @property
+    def has_noun(self) -> bool:
+        """Whether it says what kind of thing is wanted."""
+        return bool(self.names or self.categories or self.uses)
+
+    @property
+    def understood(self) -> bool:
+        """Whether anything was said that can tell one thing from another."""
+        return self.has_noun or self.anything or self.has_attributes
+
+    @property
+    def has_attributes(self) -> bool:
+        """Whether a colour, shape, size, place or relation was said."""
+        return bool(
+            self.colors or self.shapes or self.sizes or self.superlative or self.views or self.relations
+        )
+
+    @property
+    def label(self) -> str:
+        """A short readable name such as "small red box"."""
+        colors = [f"{c.tone} {c.word}".strip() for c in self.colors]
+        words = [self.superlative.key] if self.superlative else []
+        words += [*self.sizes, *self.shapes, (" or " if self.any_color else " ").join(colors)]
+        noun = self.said or (f"thing to {self.uses[0]}" if self.uses else "object")
+        return " ".join(w for w in (*words, noun) if w)
+
+
+@dataclass(frozen=True)
+class Query:
+    """An instruction, understood as far as possible."""
+
+    text: str
+    wanted: tuple[Wanted, ...]
+    """Alternatives, the first said comes first."""
+    excluded: tuple[Wanted, ...] = ()
+    """What must not be taken ("not the red one")."""
+    unknown: tuple[str, ...] = ()
+    """Words that were not understood."""
+
+    @property
+    def understood(self) -> bool:
+        """Whether there is anything to look for."""
+        return bool(self.wanted)
+
+    @property
+    def label(self) -> str:
+        """A short readable name of all that is wanted."""
+        return " or ".join(dict.fromkeys(w.label for w in self.wanted)) or "object"
+
+
+def parse(text: str) -> Query:
+    """Parse an instruction; never raises, whatever the text.
+
+    Args:
+        text: What a person said, in English.
+
+    Returns:
+        The query. `understood` is False when no word says what to take.
+    """
+    wanted: list[Wanted] = []
+    excluded: list[Wanted] = []
+    unknown: list[str] = []
+    for sentence in read(text):
+        lexemes = _without_modal_can(sentence)
+        unknown += [lexeme.text for lexeme in lexemes if _is_unknown(lexeme)]
+        for negated, thing in _things(lexemes):
+            (excluded if negated else wanted).append(thing)
+    nouns = [w for w in wanted if w.has_noun]
+    if nouns:
+        wanted = [_merge_anaphora(wanted, w) for w in nouns]
+    if not wanted and excluded and any(x.has("standin", "anything") for s in read(text) for x in s):
+        wanted = [Wanted(anything=True)]
+    return Query(text, tuple(dict.fromkeys(wanted)), tuple(dict.fromkeys(excluded)), tuple(dict.fromkeys(unknown)))
+
+
+def _without_modal_can(lexemes: list[Lexeme]) -> list[Lexeme]:
+    """Read "can" as the verb where a pronoun stands beside it ("I can write with", "can you give me")."""
+    read_again: list[Lexeme] = []
+    for i, lexeme in enumerate(lexemes):
+        if lexeme.words == ("can",):
+            before = lexemes[i - 1].text if i else ""
+            after = lexemes[i + 1].words[0] if i + 1 < len(lexemes) else ""
+            if before in _PRONOUNS - {"one"} or after in _PRONOUNS - {"that", "which", "robot"}:
+                lexeme = Lexeme(lexeme.words, {"noise": "can"})
+        read_again.append(lexeme)
+    return read_again
+
+
+def _is_unknown(lexeme: Lexeme) -> bool:
+    return not lexeme.senses and not lexeme.text.isdigit()
+
+
+def _merge_anaphora(wanted: list[Wanted], noun: Wanted) -> Wanted:
+    """Give "I want the cup. The red one." its colour: attributes said alone belong to the only noun."""
+    loose = [w for w in wanted if not w.has_noun and w.has_attributes]
+    if len([w for w in wanted if w.has_noun]) != 1 or len(loose) != 1:
+        return noun
+    extra = loose[0]
+    return replace(
+        noun,
+        colors=noun.colors or extra.colors,
+        any_color=noun.any_color or extra.any_color,
+        shapes=noun.shapes or extra.shapes,
+        sizes=noun.sizes or extra.sizes,
+        superlative=noun.superlative or extra.superlative,
+        views=noun.views or extra.views,
+        relations=noun.relations or extra.relations,
+    )
+
+
+def _things(lexemes: list[Lexeme]) -> list[tuple[bool, Wanted]]:
+    """Split one sentence into the things that it wants or excludes."""
+    found: list[tuple[bool, Wanted]] = []
+    for negated, chunk in _chunks(lexemes):
+        thing = _Parser(chunk).parse()
+        if thing.understood:
+            found.append((negated, thing))
+    return found
+
+
+def _chunks(lexemes: list[Lexeme]) -> list[tuple[bool, list[Lexeme]]]:
+    """Cut at negations, and at and/or/commas where both sides have a noun of their own."""
+    chunks: list[tuple[bool, list[Lexeme]]] = []
+    current: list[Lexeme] = []
+    negated = False
+    for i, lexeme in enumerate(lexemes):
+        if lexeme.has("negation"):
+            chunks.append((negated, current))
+            current, negated = [], True
+        elif lexeme.has("clause") and _splits(current, lexemes[i + 1 :], negated):
+            chunks.append((negated, current))
+            current, negated = [], False
+        else:
+            current.append(lexeme)
+    return [*chunks, (negated, current)]
+
+
+def _splits(before: list[Lexeme], after: list[Lexeme], negated: bool) -> bool:
+    rest: list[Lexeme] = []
+    for lexeme in after:
+        if lexeme.has("clause", "negation"):
+            break
+        rest.append(lexeme)
+    if negated:
+        return _has_head(rest)
+    if any(x.senses.get("relation") == "between" for x in before):
+        return False
+    return _has_head(before) and _has_head(rest)
+
+
+def _has_head(lexemes: list[Lexeme]) -> bool:
+    only_color = all(x.has("color") for x in lexemes if x.has("name"))
+    names = any(x.has("name", "category", "standin", "anything") for x in lexemes)
+    if names and only_color and not any(x.has("category", "standin", "anything") for x in lexemes):
+        return bool(lexemes) and lexemes[-1].has("name")
+    return names or any(x.has("use") and _use_counts(lexemes, i) for i, x in enumerate(lexemes))
+
+
+def _use_counts(lexemes: list[Lexeme], i: int) -> bool:
+    """Whether the use at i is meant as one, and not as a command or an adjective ("hold the mug", "the open box")."""
+    lexeme = lexemes[i]
+    if lexeme.words[-1] in _STATES or len(lexeme.words) > 1 or lexeme.words[-1].endswith("ing"):
+        return True
+    if lexeme.senses["use"] in _NOUN_USES:
+        return True
+    return i > 0 and lexemes[i - 1].words[-1] in _USE_MARKERS
+
+
+@dataclass
+class _Parser:
+    """Reads one chunk from left to right into a Wanted."""
+
+    lexemes: list[Lexeme]
+    depth: int = 0
+    thing: Wanted = field(default_factory=Wanted)
+    tone: str = ""
+    ordinal: int | None = None
+    last_name_at: int = -2
+    standin_at: int | None = None
+    object_of_use: bool = False
+
+    def parse(self) -> Wanted:
+        i = 0
+        while i < len(self.lexemes):
+            i = self._step(i)
+        thing = self.thing
+        if self.tone and not thing.colors:
+            thing = replace(thing, colors=(ColorWish("black" if self.tone == "dark" else "white"),))
+        if self.ordinal and thing.superlative is None and self.ordinal > 1:
+            thing = replace(thing, superlative=Superlative("leftmost", self.ordinal))
+        return thing
+
+    def _step(self, i: int) -> int:
+        """Read the lexeme at i and return the index of the next one to read."""
+        lexeme = self.lexemes[i]
+        senses = lexeme.senses
+        part_end = self._part(i)
+        if part_end is not None:
+            return part_end
+        if lexeme.has("superlative") and not (lexeme.has("relation") and self._landmark_follows(i)):
+            self._superlative(senses["superlative"])
+        elif lexeme.has("relation") and (end := self._relation(i, senses["relation"])) is not None:
+            return end
+        elif lexeme.has("use") and not self._reads_as_name(i) and _use_counts(self.lexemes, i):
+            self._use(i, senses["use"])
+        elif lexeme.has("tone") and not lexeme.has("name"):
+            self.tone = senses["tone"]
+        elif lexeme.has("color") and not (lexeme.has("name") and not self._noun_follows(i)):
+            self._color(i, senses["color"])
+        elif lexeme.has("name"):
+            self._name(i, senses["name"])
+        elif lexeme.has("category"):
+            self._category(i, senses["category"])
+        elif lexeme.has("view"):
+            self._view(senses["view"])
+        elif lexeme.has("ordinal"):
+            self.ordinal = int(senses["ordinal"])
+        elif lexeme.has("shape"):
+            self.thing = replace(self.thing, shapes=_added(self.thing.shapes, senses["shape"]))
+        elif lexeme.has("size"):
+            self.thing = replace(self.thing, sizes=_added(self.thing.sizes, senses["size"]))
+        elif lexeme.has("standin", "anything"):
+            self.standin_at = i
+            if lexeme.has("anything") and not self.thing.has_noun:
+                self.thing = replace(self.thing, anything=True)
+        return i + 1
+
+    def _superlative(self, key: str) -> None:
+        self.thing = replace(self.thing, superlative=Superlative(key, self.ordinal or 1))
+        self.ordinal = None
+
+    def _view(self, view: str) -> None:
+        if self.ordinal and view in ("left", "right"):
+            self._superlative(f"{view}most")
+        else:
+            self.thing = replace(self.thing, views=_added(self.thing.views, view))
+
+    def _color(self, i: int, word: str) -> None:
+        either = any(x.text == "or" for x in self.lexemes[:i]) and bool(self.thing.colors)
+        self.thing = replace(
+            self.thing,
+            colors=_added(self.thing.colors, ColorWish(word, self.tone)),
+            any_color=self.thing.any_color or either,
+        )
+        self.tone = ""
+
+    def _name(self, i: int, name: str) -> None:
+        if self.object_of_use and not self._instrument_marked(i):
+            return
+        said = self.lexemes[i].text
+        follows_of = i >= 2 and self.lexemes[i - 1].text == "of" and self.last_name_at == i - 2
+        if follows_of:
+            joined = tuple(self.lexemes[i].words) + tuple(self.lexemes[i - 2].words)
+            senses = load_vocabulary().phrases.get(joined, {})
+            if "name" in senses:
+                self._set_name(i, senses["name"], " ".join(joined))
+            elif self.lexemes[i - 2].has("measure"):
+                self._set_name(i, name, said)
+        elif not self.thing.names or self.last_name_at == i - 1 or self._instrument_marked(i):
+            self._set_name(i, name, said)
+
+    def _set_name(self, i: int, name: str, said: str) -> None:
+        if tuple(map(stem, name.split())) == tuple(said.split()):
+            said = name
+        self.thing = replace(self.thing, names=(name,), categories=(), uses=(), said=said, anything=False)
+        self.last_name_at = i
+
+    def _category(self, i: int, category: str) -> None:
+        if self.object_of_use and not self._instrument_marked(i):
+            return
+        if not self.thing.names and not self.thing.categories:
+            self.thing = replace(
+                self.thing, categories=(category,), uses=(), said=self.lexemes[i].text, anything=False
+            )
+
+    def _use(self, i: int, use: str) -> None:
+        if self.thing.names or self.thing.uses:
+            self.object_of_use = True
+            return
+        self.thing = replace(self.thing, uses=(use,), anything=False)
+        stands_for = self.standin_at is not None or bool(self.thing.categories)
+        self.object_of_use = stands_for or use in load_vocabulary().instrument_uses
+
+    def _instrument_marked(self, i: int) -> bool:
+        """Whether "with the" or "using a" stands before the lexeme at i, after a use."""
+        if not self.thing.uses:
+            return False
+        before = [x.text for x in self.lexemes[max(0, i - 3) : i]]
+        return any(w in _INSTRUMENT_MARKERS for w in before)
+
+    def _reads_as_name(self, i: int) -> bool:
+        """Whether a word that is a name and a use ("drill", "comb", "brush") is meant as the name here."""
+        lexeme = self.lexemes[i]
+        return lexeme.has("name") and not (i > 0 and self.lexemes[i - 1].text in ("to", "can", "could"))
+
+    def _noun_follows(self, i: int) -> bool:
+        for lexeme in self.lexemes[i + 1 :]:
+            if lexeme.has("relation", "view", "clause"):
+                return False
+            if lexeme.has("name", "category", "standin") or _is_unknown(lexeme):
+                return True
+        return False
+
+    def _landmark_follows(self, i: int) -> bool:
+        for lexeme in self.lexemes[i + 1 :]:
+            if lexeme.has("standin", "clause", "view"):
+                return False
+            if lexeme.has("name", "category"):
+                return self.lexemes[i + 1].text in ("to", "the", "a") or self.thing.has_noun
+        return False
+
+    def _part(self, i: int) -> int | None:
+        """Read "by its handle", "the handle of the mug", "the mug's handle"; return the index after it."""
+        lexeme = self.lexemes[i]
+        if not lexeme.has("part") or lexeme.has("name"):
+            return None
+        before = [x.text for x in self.lexemes[max(0, i - 2) : i]]
+        after = self.lexemes[i + 1].text if i + 1 < len(self.lexemes) else ""
+        marked = bool(_PART_MARKERS.intersection(before))
+        of_what = after == "of" and "on" not in before and not lexeme.has("view")
+        owned = self.last_name_at == i - 1 and self.last_name_at >= 0 and not lexeme.has("view")
+        if not (marked or of_what or owned):
+            return None
+        self.thing = replace(self.thing, part=self.thing.part or lexeme.text)
+        return i + (2 if of_what else 1)
+
+    def _relation(self, i: int, kind: str) -> int | None:
+        """Read a relation and its landmark up to the end; None where no landmark follows."""
+        rest = self.lexemes[i + 1 :]
+        if kind == "next to" and any(x.has("part") and not x.has("name") for x in rest[:2]):
+            return None
+        if self.depth >= MAX_LANDMARK_DEPTH or not rest:
+            return None
+        surface = next((x for x in rest if not x.has("noise")), None)
+        if surface is not None and surface.has("surface") and not surface.has("name", "category"):
+            view = _VIEW_OF_RELATION.get(kind)
+            if view:
+                self._view(view)
+            elif self.standin_at is not None and not self.thing.understood:
+                self.thing = replace(self.thing, anything=True)
+            return i + 1 + rest.index(surface) + 1
+        groups = _split_between(rest) if kind == "between" else [rest]
+        landmarks: list[Wanted] = []
+        part: str | None = None
+        for group in groups:
+            landmark = _Parser(group, self.depth + 1).parse()
+            part = part or landmark.part
+            landmark = replace(landmark, part=None)
+            if landmark.has_noun or landmark.colors or landmark.shapes:
+                landmarks.append(landmark)
+        if not landmarks:
+            return None
+        self.thing = replace(
+            self.thing,
+            relations=(*self.thing.relations, RelationWish(kind, tuple(landmarks))),
+            part=self.thing.part or part,
+        )
+        return len(self.lexemes)
+
+
+def _split_between(lexemes: list[Lexeme]) -> list[list[Lexeme]]:
+    groups: list[list[Lexeme]] = [[]]
+    for lexeme in lexemes:
+        if lexeme.text == "and":
+            groups.append([])
+        else:
+            groups[-1].append(lexeme)
+    return groups
+
+
+def _added(items: tuple, item: object) -> tuple:
+    return items if item in items else (*items, item)
