@@ -76,7 +76,7 @@ class FakePlanner:
 
     def plan(self, scene: Scene, instruction: str, memory: Memory) -> Plan:
         for p in scene.proposals:
-            if p.colors[0][0] in instruction.lower():
+            if p.colors and p.colors[0][0] in instruction.lower():
                 return Plan(p.colors[0][0], "its colour fits", mark=p.mark, grid=self.grid, cell=self.cell)
         return Plan("", "no colour of the instruction is in view", grid=self.grid, cell=self.cell, found=False)
 
