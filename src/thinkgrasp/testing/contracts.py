@@ -331,7 +331,7 @@ def _equal(a: object, b: object) -> bool:
         return len(xs) == len(ys) and all(_equal(x, y) for x, y in zip(xs, ys, strict=True))
     if is_dataclass(a):
         return all(_equal(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
-    return a == b
+    return a == b or (a != a and b != b)  # NaN equals NaN here
 
 
 def _array(call: str, name: str, array: NDArray[np.generic], shape: tuple[int, ...], dtype: type) -> None:
