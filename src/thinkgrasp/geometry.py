@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from thinkgrasp.errors import InputError
 from thinkgrasp.types import Array, CameraIntrinsics
@@ -123,3 +124,42 @@ def voxel_downsample(points: NDArray[np.floating], voxel_m: float) -> NDArray[np
     size = keys.max(axis=0) + 1
     flat = (keys[:, 0] * size[1] + keys[:, 1]) * size[2] + keys[:, 2]
     return np.sort(np.unique(flat, return_index=True)[1])
+
+
+def organised_normals(points: Array, camera: CameraIntrinsics, radius_px: int = 3, jump: float = 0.02) -> Array:
+    """Estimate surface normals of an organised cloud without smoothing across depth edges.
+
+    On a plane the inverse depth is linear in the pixel coordinates, so its gradient gives the normal exactly. The
+    gradient is averaged over a window, leaving out neighbours across a depth edge.
+
+    Args:
+        points: (H, W, 3) [m], camera frame; NaN = no return.
+        camera: Pinhole intrinsics [px].
+        radius_px: Half width of the averaging window.
+        jump: Relative change of depth between two neighbouring pixels that counts as an edge.
+
+    Returns:
+        (H, W, 3) float32 unit normals towards the camera; NaN where fewer than a tenth of the window has depth.
+
+    References:
+        The plane's image under a pinhole camera, 1/z = A x' + B y' + C with (A, B, C) parallel to the normal.
+    """
+    z = points[..., 2]
+    q = 1.0 / z
+    gradients = []
+    for axis in (1, 0):
+        step = np.diff(q, axis=axis)
+        near = np.minimum(q[:, 1:], q[:, :-1]) if axis == 1 else np.minimum(q[1:], q[:-1])
+        usable = np.abs(step) < jump * near
+        pad = [(0, 0), (0, 0)]
+        pad[axis] = (0, 1)
+        weight = np.pad(usable.astype(np.float32), pad)
+        value = np.pad(np.where(usable, step, np.float32(0)), pad)
+        n = 2 * radius_px + 1
+        weight = ndimage.uniform_filter(weight, n, mode="constant")
+        value = ndimage.uniform_filter(value, n, mode="constant")
+        gradients.append(np.where(weight > 0.1, value / np.maximum(weight, 1e-6), np.float32(np.nan)))
+    a, b = gradients[0] * np.float32(camera.fx), gradients[1] * np.float32(camera.fy)
+    c = q - a * points[..., 0] * q - b * points[..., 1] * q
+    normals = -np.stack([a, b, c], axis=-1)
+    return (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).astype(np.float32)

@@ -7,7 +7,7 @@ otherwise. Arrays are not copied; treat them as read-only.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -127,6 +127,11 @@ class SupportPlane:
     def height(self, points: NDArray[np.floating]) -> NDArray[np.floating]:
         """Height of points (..., 3) above the support, (...) [m]."""
         return points @ self.normal.astype(points.dtype) + points.dtype.type(self.offset_m)
+
+    def resized(self, scale: int, shape: tuple[int, ...]) -> SupportPlane:
+        """Return a copy whose inlier mask is enlarged by a whole factor and cut to an image's shape (H, W)."""
+        inliers = self.inliers.repeat(scale, axis=0).repeat(scale, axis=1)[: shape[0], : shape[1]]
+        return replace(self, inliers=inliers)
 
 
 @dataclass(frozen=True, eq=False)

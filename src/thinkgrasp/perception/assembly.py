@@ -1,0 +1,194 @@
+"""From groups of patches to whole things: hollow bodies, parts that float, crumbs, and pixels without depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from thinkgrasp.perception.color import color_memberships
+from thinkgrasp.perception.edges import Labels, find_edges, tabulate
+from thinkgrasp.perception.foreground import Foreground
+from thinkgrasp.perception.shape import Circle, circle_from_normals
+from thinkgrasp.perception.support import Support
+from thinkgrasp.types import Array, Mask
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """A group's points, subsampled."""
+
+    pixels: int
+    xy: NDArray[np.float64]
+    """(m, 2) in the support's axes [m]"""
+    height: NDArray[np.float64]
+    """(m,) [m]"""
+    lab: NDArray[np.float64]
+    """(3,) median"""
+    colors: NDArray[np.float64]
+    """(11,) shares of the colour names"""
+    facing: float
+    """Median cosine between normal and line of sight"""
+    bulge: float
+    """Mean outwardness of the horizontal normals as seen from the body's own middle: > 0 convex, < 0 concave."""
+    circle: Circle | None
+    """Around the vertical axis that the side faces share."""
+
+    @property
+    def top(self) -> float:
+        return float(np.percentile(self.height, 97))
+
+    @property
+    def bottom(self) -> float:
+        return float(np.percentile(self.height, 3))
+
+
+def assemble(
+    labels: Labels, foreground: Foreground, points: Array, normals: Array, lab: Array, support: Support
+) -> Labels:
+    """Join what one thing was cut into, and drop what is no thing.
+
+    Args:
+        labels: Groups of patches (H, W), 1..n.
+        foreground: Heights and colour contrast.
+        points: (H, W, 3) [m].
+        normals: (H, W, 3) unit.
+        lab: (H, W, 3) CIE Lab.
+        support: The surface.
+
+    Returns:
+        (H, W) labels 1..m; pixels without depth are included where they belong to a thing.
+    """
+    labels = _join(labels, points, normals, lab, support)
+    labels = _drop_slivers(labels, points)
+    return _claim_missing(labels, foreground, lab)
+
+
+def _join(labels: Labels, points: Array, normals: Array, lab: Array, support: Support) -> Labels:
+    n = int(labels.max())
+    if n < 2:
+        return labels
+    contact, front = tabulate(find_edges(labels, points, normals, reach_px=3), n)
+    bodies = [_body(labels == i + 1, points, normals, lab, support) for i in range(n)]
+    group = np.arange(n)
+    for i in np.argsort([b.pixels for b in bodies], kind="stable"):
+        meets = contact[i] + front[i] + front[:, i]
+        for j in np.argsort(-meets, kind="stable"):
+            if meets[j] < 4 or group[i] == group[j]:
+                continue
+            border = _Border(int(meets.sum()), int(contact[i, j]), int(front[i, j]), int(front[j, i]))
+            if any(rule(bodies[i], bodies[j], border) for rule in (_is_interior, _is_flank, _is_attached)):
+                group[group == group[i]] = group[j]
+                break
+    new = np.unique(group, return_inverse=True)[1].astype(np.int32) + 1
+    return np.where(labels > 0, np.r_[np.int32(0), new][labels], 0).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class _Border:
+    """How a part meets a body [px]."""
+
+    total: int
+    """Of the part, towards anything."""
+    contact: int
+    in_front: int
+    behind: int
+
+
+def _body(mask: Mask, points: Array, normals: Array, lab: Array, support: Support) -> _Body:
+    index = np.flatnonzero(mask)
+    pixels = len(index)
+    index = index[:: max(1, pixels // 400)]
+    p = points.reshape(-1, 3)[index].astype(np.float64)
+    n = np.nan_to_num(normals.reshape(-1, 3)[index].astype(np.float64))
+    xy, normal_xy = support.footprint(p), support.footprint(n)
+    out = xy - (xy.min(axis=0) + xy.max(axis=0)) / 2
+    out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-6)
+    facing = -(n * p).sum(1) / np.linalg.norm(p, axis=1)
+    trusted = facing > 0.25
+    return _Body(
+        pixels,
+        xy,
+        support.plane.height(p),
+        np.median(lab.reshape(-1, 3)[index], axis=0).astype(np.float64),
+        color_memberships(lab.reshape(-1, 3)[index]).mean(axis=0).astype(np.float64),
+        float(np.median(facing)),
+        float((out * normal_xy).sum(1).mean()),
+        circle_from_normals(xy[trusted], normal_xy[trusted]),
+    )
+
+
+def _is_interior(inner: _Body, outer: _Body, border: _Border) -> bool:
+    """Whether `inner` is the inside of the hollow thing whose outside is `outer`.
+
+    Two things cannot stand in one place: what lies within the circle that the outer wall describes, does not rise above
+    its rim and does not bulge is the inner wall or the bottom. What bulges is a thing that lies in it.
+    """
+    if border.contact + border.behind < 0.3 * border.total or inner.bulge > 0.55:
+        return False
+    circle = outer.circle
+    if circle is None or inner.top > outer.top + 0.02 or inner.bottom < outer.bottom - 0.01:
+        return False
+    within = np.linalg.norm(inner.xy - circle.center, axis=1) < 1.15 * circle.radius
+    return float(within.mean()) > 0.65
+
+
+def _is_flank(flank: _Body, body: _Body, border: _Border) -> bool:
+    """Whether `flank` is a side of `body` that is seen at such a slant that its depth cannot be trusted."""
+    if flank.facing > 0.35 or border.behind + border.contact < 0.3 * border.total:
+        return False
+    return float(np.minimum(flank.colors, body.colors).sum()) > 0.65
+
+
+def _is_attached(part: _Body, body: _Body, border: _Border) -> bool:
+    """Whether `part` (a handle, a lid, a crumb) hangs on `body`: small, in contact, and not standing on the support."""
+    if border.contact < 4 or border.contact < border.in_front + border.behind:
+        return False
+    if part.pixels < 0.08 * body.pixels:
+        return True
+    floats = part.bottom > 0.012 and part.bottom > body.bottom + 0.006
+    alike = float(np.linalg.norm((part.lab - body.lab) * [0.4, 1, 1])) < 12
+    return part.pixels < 0.35 * body.pixels and floats and alike
+
+
+def _drop_slivers(labels: Labels, points: Array) -> Labels:
+    """Drop groups that are too small to be a thing, or only a fringe of flying pixels."""
+    n = int(labels.max())
+    if n == 0:
+        return labels
+    area = np.bincount(labels.ravel(), minlength=n + 1)
+    core = np.bincount(labels[ndimage.minimum_filter(labels, 5) == labels].ravel(), minlength=n + 1)
+    z = ndimage.median(np.nan_to_num(points[..., 2]), labels, np.arange(n + 1))
+    z[0] = 0
+    focal = np.hypot(*labels.shape)
+    area_m2 = area * (z / focal) ** 2
+    keep = (area >= 80) & (core >= 0.12 * area) & (area_m2 > 1.2e-4)
+    keep[0] = False
+    new = np.where(keep, np.cumsum(keep), 0).astype(np.int32)
+    return new[labels]
+
+
+def _claim_missing(labels: Labels, foreground: Foreground, lab: Array, reach_px: int = 25) -> Labels:
+    """Give pixels without depth, or too low to be told from the surface, to the thing beside them.
+
+    They must differ in colour from the surface and be no further than `reach_px`; enclosed ones (a bowl's bottom) too.
+    """
+    if not labels.any():
+        return labels
+    surface = foreground.region & (labels == 0) & np.isfinite(foreground.height)
+    surface &= np.abs(foreground.height) < 0.01
+    usual = float(np.percentile(foreground.contrast[surface], 95)) if surface.any() else 0.0
+    unclaimed = (labels == 0) & (~np.isfinite(foreground.height) | foreground.region)
+    differs = unclaimed & (foreground.contrast > usual + 6)
+    linked = ndimage.binary_propagation(labels > 0, mask=differs | (labels > 0)) & differs
+    distance, nearest = ndimage.distance_transform_edt(labels == 0, return_indices=True)
+    owner = labels[nearest[0], nearest[1]]
+    claimed = linked & (distance <= reach_px)
+    out = np.where(claimed, owner, labels).astype(np.int32)
+    for i, box in enumerate(ndimage.find_objects(out), start=1):
+        window = out[box] == i
+        holes = ndimage.binary_fill_holes(window) & (out[box] == 0) & (foreground.contrast[box] > usual)
+        out[box][holes] = i
+    return ndimage.median_filter(out, 3) if out.any() else out

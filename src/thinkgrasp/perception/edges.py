@@ -1,0 +1,91 @@
+"""Where labelled areas meet in the image, and whether depth steps there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from thinkgrasp.types import Array
+
+Labels = NDArray[np.int32]
+"""(H, W) 1..n, 0 = none."""
+
+INSET_PX = 3
+"""Depth is compared this far inside both areas: sensors smear a step over a few pixels."""
+STEP_M = (0.010, 0.008)
+"""A residual of a + b z [m] is a step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """One entry per pair of neighbouring pixels with different labels."""
+
+    a: NDArray[np.intp]
+    """0-based label (label 1 is 0)."""
+    b: NDArray[np.intp]
+    step: NDArray[np.int8]
+    """+1: a lies in front of b by a step, -1: b in front of a, 0: no step."""
+
+
+def find_edges(labels: Labels, points: Array, normals: Array, reach_px: int = 0) -> Edges:
+    """Compare depth across every border between two labels.
+
+    A step is where neither side's tangent plane predicts the other side's depth.
+
+    Args:
+        labels: (H, W).
+        points: (H, W, 3) [m].
+        normals: (H, W, 3) unit; NaN where unknown.
+        reach_px: Labels that are at most this far apart, with unlabelled pixels between, meet too.
+    """
+    index = np.arange(labels.size).reshape(labels.shape)
+    if reach_px:
+        distance, nearest = ndimage.distance_transform_edt(labels == 0, return_indices=True)
+        index = np.where(distance <= reach_px, nearest[0] * labels.shape[1] + nearest[1], index)
+    flat_points, flat_normals = points.reshape(-1, 3), normals.reshape(-1, 3)
+    filled = labels.flat[index]
+    found: list[tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.int8]]] = []
+    for axis in (0, 1):
+        image = filled if axis == 1 else filled.T
+        where = index if axis == 1 else index.T
+        row, col = np.nonzero((image[:, 1:] != image[:, :-1]) & (image[:, 1:] > 0) & (image[:, :-1] > 0))
+        la, lb = image[row, col], image[row, col + 1]
+        ca, cb = col.copy(), col + 1
+        for _ in range(INSET_PX):
+            back = np.maximum(ca - 1, 0)
+            ca = np.where(image[row, back] == la, back, ca)
+            on = np.minimum(cb + 1, image.shape[1] - 1)
+            cb = np.where(image[row, on] == lb, on, cb)
+        ia, ib = where[row, ca], where[row, cb]
+        found.append((la - 1, lb - 1, _step(flat_points[ia], flat_normals[ia], flat_points[ib], flat_normals[ib])))
+    a, b, step = (np.concatenate(column) for column in zip(*found, strict=True))
+    return Edges(a.astype(np.intp), b.astype(np.intp), step)
+
+
+def _step(pa: Array, na: Array, pb: Array, nb: Array) -> NDArray[np.int8]:
+    za, zb = pa[:, 2], pb[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        residual_b = np.abs(zb - _predict(pa, na, pb))
+        residual_a = np.abs(za - _predict(pb, nb, pa))
+    residual = np.fmin(np.fmin(residual_a, residual_b), np.abs(za - zb))
+    stepped = residual > STEP_M[0] + STEP_M[1] * np.minimum(za, zb)
+    return np.where(stepped, np.where(za < zb, 1, -1), 0).astype(np.int8)
+
+
+def _predict(p: Array, n: Array, target: Array) -> Array:
+    """Depth (N,) at which the ray through `target` meets the plane through p with normal n."""
+    return (n * p).sum(1) / (n * (target / target[:, 2:])).sum(1)
+
+
+def tabulate(edges: Edges, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return per pair (n, n) the number of pixels in contact (symmetric), and [i, j]: i in front of j by a step."""
+    contact = np.zeros((n, n), np.int64)
+    front = np.zeros((n, n), np.int64)
+    level, first, second = edges.step == 0, edges.step > 0, edges.step < 0
+    np.add.at(contact, (edges.a[level], edges.b[level]), 1)
+    np.add.at(front, (edges.a[first], edges.b[first]), 1)
+    np.add.at(front, (edges.b[second], edges.a[second]), 1)
+    return contact + contact.T, front

@@ -1,0 +1,102 @@
+"""Scene perception without networks: support plane, proposals and obstruction graph from one RGB-D frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from thinkgrasp.errors import ConfigError
+from thinkgrasp.geometry import deproject, organised_normals
+from thinkgrasp.perception.assembly import assemble
+from thinkgrasp.perception.color import balance_white, lab_from_rgb
+from thinkgrasp.perception.edges import Labels, find_edges
+from thinkgrasp.perception.foreground import find_foreground
+from thinkgrasp.perception.grouping import merge_patches, patch_adjacency, patch_statistics
+from thinkgrasp.perception.obstruction import obstruction_graph
+from thinkgrasp.perception.proposals import make_proposals
+from thinkgrasp.perception.superpixels import superpixels
+from thinkgrasp.perception.support import find_support
+from thinkgrasp.types import Array, CameraIntrinsics, Frame, Scene
+
+
+class GeometricPerception:
+    """Finds what stands on the support from depth and colour alone.
+
+    Args:
+        work_width_px: Frames wider than this are processed at a whole fraction of their size.
+        seed: Seeds the plane search, anew for every frame.
+
+    Raises:
+        ConfigError: work_width_px is smaller than 160.
+    """
+
+    def __init__(self, *, work_width_px: int = 640, seed: int = 0) -> None:
+        if work_width_px < 160:
+            raise ConfigError(f"work_width_px must be at least 160, got {work_width_px}")
+        self.work_width_px = work_width_px
+        self.seed = seed
+
+    def perceive(self, frame: Frame) -> Scene:
+        """Find the support plane, the proposals and their obstruction graph.
+
+        Returns:
+            A scene with points and normals at the frame's size. Without a support plane there are no proposals.
+        """
+        camera = frame.camera
+        points = deproject(frame.depth, camera)
+        scale = max(1, round(camera.width / self.work_width_px))
+        work_points = np.ascontiguousarray(points[::scale, ::scale])
+        work_normals = organised_normals(work_points, _scaled(camera, scale, work_points.shape[:2]))
+        normals = _enlarged(work_normals, scale, points.shape[:2])
+        up = None if frame.T_world_camera is None else frame.T_world_camera[2, :3]
+        support = find_support(work_points, work_normals, up, np.random.default_rng(self.seed))
+        if support is None:
+            return Scene(frame, points, normals)
+
+        lab = balance_white(lab_from_rgb(_shrunk(frame.color, scale)), ~support.plane.inliers)
+        workspace = None if frame.workspace is None else frame.workspace[::scale, ::scale]
+        foreground = find_foreground(work_points, lab, support, workspace)
+        labels = superpixels(foreground.mask, work_points, work_normals, lab)
+        if labels.any():
+            patches = patch_statistics(labels, work_points, work_normals, lab)
+            groups = merge_patches(len(patches.count), patch_adjacency(labels, work_points, work_normals, patches))
+            labels = np.where(labels > 0, np.r_[-1, groups][labels] + 1, 0).astype(np.int32)
+            labels = assemble(labels, foreground, work_points, work_normals, lab, support)
+        proposals = make_proposals(labels, scale, work_points, work_normals, lab, support, camera)
+
+        marks: Labels = np.zeros(labels.shape, np.int32)
+        for proposal in proposals:
+            marks[proposal.mask[::scale, ::scale]] = proposal.mark
+        edges = find_edges(marks, work_points, work_normals, reach_px=3)
+        graph = obstruction_graph(marks, scale, work_points, edges, proposals, support)
+        return Scene(
+            frame,
+            points,
+            normals,
+            support.plane.resized(scale, points.shape[:2]),
+            _enlarged(foreground.region, scale, points.shape[:2]),
+            proposals,
+            graph,
+        )
+
+
+def _scaled(camera: CameraIntrinsics, scale: int, shape: tuple[int, ...]) -> CameraIntrinsics:
+    return CameraIntrinsics(
+        shape[1], shape[0], camera.fx / scale, camera.fy / scale, camera.cx / scale, camera.cy / scale
+    )
+
+
+def _shrunk(color: np.ndarray, scale: int) -> np.ndarray:
+    """Average blocks of scale x scale pixels; the last, incomplete block of a row or column is taken as it is."""
+    if scale == 1:
+        return color
+    out = color[::scale, ::scale].copy()
+    h, w = color.shape[0] // scale, color.shape[1] // scale
+    blocks = color[: h * scale, : w * scale].reshape(h, scale, w, scale, 3)
+    out[:h, :w] = blocks.mean(axis=(1, 3), dtype=np.float32)
+    return out
+
+
+def _enlarged(image: Array | np.ndarray, scale: int, shape: tuple[int, ...]) -> np.ndarray:
+    if scale == 1:
+        return image
+    return image.repeat(scale, axis=0).repeat(scale, axis=1)[: shape[0], : shape[1]]

@@ -1,0 +1,120 @@
+"""From labelled pixels to proposals: mask, box, size, colour, shape, confidence."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from thinkgrasp.geometry import Float, make_transform
+from thinkgrasp.perception.color import name_colors
+from thinkgrasp.perception.edges import Labels
+from thinkgrasp.perception.foreground import flying_pixels
+from thinkgrasp.perception.shape import Shape, Surface, describe_shape
+from thinkgrasp.perception.support import Support
+from thinkgrasp.types import Array, CameraIntrinsics, Mask, Proposal
+
+MAX_POINTS = 1500
+MAX_SIDE_M = 0.6
+BORDER_PX = 2
+
+
+def make_proposals(
+    labels: Labels, scale: int, points: Array, normals: Array, lab: Array, support: Support, camera: CameraIntrinsics
+) -> tuple[Proposal, ...]:
+    """Describe every labelled thing and number them from 1, nearest to the image's middle line by line.
+
+    Args:
+        labels: (h, w) 1..n at working resolution.
+        scale: Image pixels per working pixel.
+        points: (h, w, 3) [m] at working resolution.
+        normals: (h, w, 3).
+        lab: (h, w, 3).
+        support: The surface.
+        camera: Of the full image.
+    """
+    found: list[Proposal] = []
+    axes = support.axes
+    origin = -support.plane.offset_m * support.plane.normal
+    size = (camera.height, camera.width)
+    flying = flying_pixels(points)
+    for label, box in enumerate(ndimage.find_objects(labels), start=1):
+        if box is None:
+            continue
+        small = labels[box] == label
+        seen = small & np.isfinite(points[box][..., 2])
+        solid = _solid(small, seen, flying[box])
+        if solid.sum() < 20:
+            continue
+        index = np.flatnonzero(solid)[:: max(1, int(solid.sum()) // MAX_POINTS)]
+        p = points[box].reshape(-1, 3)[index].astype(np.float64)
+        n = np.nan_to_num(normals[box].reshape(-1, 3)[index].astype(np.float64))
+        local = (p - origin) @ axes.T
+        away = local[:, :2].mean(axis=0) - (-origin @ axes.T)[:2]
+        toward_camera = -away / max(float(np.linalg.norm(away)), 1e-6)
+        shape = describe_shape(Surface(local, n @ axes.T), toward_camera)
+        if shape.extents[0] > MAX_SIDE_M:
+            continue
+        mask = _full_size(small, box, scale, size)
+        v, u = np.nonzero(mask)
+        x0, y0, x1, y1 = int(u.min()), int(v.min()), int(u.max()) + 1, int(v.max()) + 1
+        border = x0 < BORDER_PX or y0 < BORDER_PX or x1 > size[1] - BORDER_PX or y1 > size[0] - BORDER_PX
+        core = ndimage.binary_erosion(small, iterations=2)
+        inner = core if core.sum() > 60 else small
+        found.append(
+            Proposal(
+                mark=0,
+                mask=mask,
+                box_xyxy=(x0, y0, x1, y1),
+                extents_m=(float(shape.extents[0]), float(shape.extents[1]), float(shape.extents[2])),
+                T_camera_object=_pose(shape, axes, origin),
+                height_m=(float(np.percentile(local[:, 2], 2)), float(np.percentile(local[:, 2], 98.5))),
+                colors=name_colors(lab[box][inner][::3]),
+                shapes=shape.descriptors,
+                touches_border=border,
+                confidence=_confidence(small, seen, shape, border),
+            )
+        )
+    return tuple(_numbered(found))
+
+
+def _solid(mask: Mask, seen: Mask, flying: Mask) -> Mask:
+    """Pixels whose depth can be trusted: not at the outline, where depth mixes with the background."""
+    trusted = seen & ~flying
+    for iterations in (3, 2, 1):
+        core = trusted & ndimage.binary_erosion(mask, iterations=iterations)
+        if core.sum() > 0.55 * trusted.sum():
+            return core
+    return trusted
+
+
+def _full_size(small: Mask, box: tuple[slice, slice], scale: int, size: tuple[int, int]) -> Mask:
+    mask = np.zeros(size, bool)
+    block = small.repeat(scale, axis=0).repeat(scale, axis=1)
+    rows = slice(box[0].start * scale, min(box[0].stop * scale, size[0]))
+    columns = slice(box[1].start * scale, min(box[1].stop * scale, size[1]))
+    mask[rows, columns] = block[: rows.stop - rows.start, : columns.stop - columns.start]
+    return mask
+
+
+def _pose(shape: Shape, axes: Float, origin: Float) -> Float:
+    return make_transform(axes.T @ shape.axes, axes.T @ shape.center + origin)
+
+
+def _confidence(mask: Mask, seen: Mask, shape: Shape, border: bool) -> float:
+    """A whole thing is compact, has depth nearly everywhere, has the size of a thing, and is not cut off."""
+    perimeter = mask.sum() - ndimage.binary_erosion(mask).sum()
+    compact = min(1.0, 3.2 * float(np.sqrt(mask.sum())) / max(float(perimeter), 1.0))
+    depth = float(seen.sum() / mask.sum())
+    size = min(1.0, float(shape.extents[1]) / 0.02) * (1.0 if shape.extents[0] < 0.35 else 0.6)
+    return round(compact * (0.5 + 0.5 * depth) * size * (0.7 if border else 1.0), 3)
+
+
+def _numbered(found: list[Proposal]) -> list[Proposal]:
+    """Number proposals in reading order of their boxes' centres."""
+    from dataclasses import replace
+
+    def reading_order(p: Proposal) -> tuple[float, float]:
+        x0, y0, x1, y1 = p.box_xyxy
+        return ((y0 + y1) / 2, (x0 + x1) / 2)
+
+    return [replace(p, mark=i) for i, p in enumerate(sorted(found, key=reading_order), start=1)]

@@ -1,0 +1,180 @@
+"""The surface that things stand on, among floor, walls, chairs and second tables, with or without a camera pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import ConvexHull, QhullError
+
+from thinkgrasp.geometry import Float, fit_plane, rotation_aligning
+from thinkgrasp.types import Array, Mask, SupportPlane
+
+N_SAMPLES = 3000
+N_HYPOTHESES = 120
+N_PLANES = 5
+OBJECT_HEIGHT_M = (0.015, 0.35)
+"""Points this far above a plane speak for it being the one that objects stand on."""
+GRID_M = 0.015
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """The support plane, its outline, and how the sensor bends it."""
+
+    plane: SupportPlane
+    hull: Float
+    """(E, 3) half-planes a x + b y + c <= 0 of the outline's convex hull, in the plane's own axes [m]."""
+    axes: Float
+    """(3, 3) rows: two axes in the plane and the normal."""
+
+    def footprint(self, points: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return the plane coordinates (..., 2) [m] of points (..., 3)."""
+        return points @ self.axes[:2].T.astype(points.dtype)
+
+    def distance_outside(self, points: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return how far (...) [m] points (..., 3) lie outside the outline, seen along the normal; <= 0 inside."""
+        xy = self.footprint(points)
+        hull = self.hull.astype(points.dtype)
+        return (xy @ hull[:, :2].T + hull[:, 2]).max(axis=-1)
+
+
+def tolerance(z: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return how far (...) [m] a point at depth z [m] may lie off a flat surface: 5 mm, and growing with z squared."""
+    return 0.005 + 0.005 * z * z
+
+
+def find_support(points: Array, normals: Array, up: Float | None, rng: np.random.Generator) -> Support | None:
+    """Find the plane that objects stand on.
+
+    Planes are drawn from oriented points, extracted one after the other, and compared: how much of the view they fill
+    (the middle counts more), how much stands on them within their outline, how near they are, and whether their normal
+    can be "up".
+
+    Args:
+        points: (H, W, 3) [m], camera frame; NaN = no return.
+        normals: (H, W, 3) unit, NaN where unknown.
+        up: World's up (3,) in the camera frame, or None when the pose is unknown.
+        rng: Draws the samples.
+
+    Returns:
+        The support, or None when no plane fills at least 2 % of the view.
+    """
+    height, width = points.shape[:2]
+    valid = np.flatnonzero(np.isfinite(normals[..., 0]) & np.isfinite(points[..., 2]))
+    if len(valid) < 100:
+        return None
+    sample = np.sort(rng.choice(valid, min(N_SAMPLES, len(valid)), replace=False))
+    p = points.reshape(-1, 3)[sample].astype(np.float64)
+    n = normals.reshape(-1, 3)[sample].astype(np.float64)
+    v, u = np.divmod(sample, width)
+    central = np.exp(-(((u - width / 2) / (0.6 * width)) ** 2) - ((v - height / 2) / (0.6 * height)) ** 2)
+    tol = tolerance(p[:, 2])
+
+    best: tuple[float, Float, float] | None = None
+    free = np.ones(len(p), bool)
+    for _ in range(N_PLANES):
+        found = _strongest_plane(p, n, central, tol, free, up, rng)
+        if found is None:
+            break
+        normal, offset = found
+        inlier = np.abs(p @ normal + offset) < tol
+        free &= ~(inlier & (np.abs(n @ normal) > 0.8))
+        score = _support_score(p, central, inlier, normal, offset, up)
+        if best is None or score > best[0]:
+            best = (score, normal, offset)
+    if best is None:
+        return None
+    return _finish(points, best[1], best[2])
+
+
+def _upness(normal: Float, up: Float | None) -> float:
+    """How well a normal can be up: by the pose where known, else by the image (most cameras are not rolled)."""
+    if up is not None:
+        return float(normal @ up > 0.94)
+    return float(np.clip(0.6 - normal[1], 0.25, 1.0))
+
+
+def _strongest_plane(
+    p: Float, n: Float, central: Float, tol: Float, free: Mask, up: Float | None, rng: np.random.Generator
+) -> tuple[Float, float] | None:
+    candidates = np.flatnonzero(free)
+    if len(candidates) < 60:
+        return None
+    pick = rng.choice(candidates, min(N_HYPOTHESES, len(candidates)), replace=False)
+    normals = n[pick]
+    upness = np.array([_upness(m, up) for m in normals])
+    normals, pick = normals[upness > 0.05], pick[upness > 0.05]
+    if len(pick) == 0:
+        return None
+    offsets = -np.einsum("ij,ij->i", normals, p[pick])
+    q, t = p[candidates], tol[candidates]
+    inlier = np.abs(normals @ q.T + offsets[:, None]) < t
+    aligned = np.abs(normals @ n[candidates].T) > 0.85
+    votes = (inlier & aligned) @ central[candidates]
+    k = int(np.argmax(votes))
+    normal, offset = normals[k], float(offsets[k])
+    for _ in range(3):
+        close = (np.abs(q @ normal + offset) < t) & (np.abs(n[candidates] @ normal) > 0.85)
+        if close.sum() < max(30, 0.02 * len(p)):
+            return None
+        normal, offset = fit_plane(q[close])
+    return normal, offset
+
+
+def _support_score(p: Float, central: Float, inlier: Mask, normal: Float, offset: float, up: Float | None) -> float:
+    axes = plane_axes(normal)
+    hull = _outline(p[inlier] @ axes[:2].T)
+    if hull is None:
+        return 0.0
+    total = central.sum()
+    share = central[inlier].sum() / total
+    above = p @ normal + offset
+    standing = (above > OBJECT_HEIGHT_M[0]) & (above < OBJECT_HEIGHT_M[1])
+    inside = ((p @ axes[:2].T) @ hull[:, :2].T + hull[:, 2]).max(axis=1) < 0
+    objects = central[standing & inside].sum() / total
+    return share * (0.1 + min(objects, 0.5)) * _upness(normal, up) / float(np.median(p[inlier, 2]))
+
+
+def plane_axes(normal: Float) -> Float:
+    """Return rows (3, 3): two unit axes in the plane and its normal; continuous in the normal."""
+    R = rotation_aligning(np.array([0.0, 0.0, -1.0]), normal)
+    return np.stack([R[:, 0], R[:, 1], normal])
+
+
+def _outline(xy: Float) -> Float | None:
+    """Half-planes (E, 3) of the convex hull of the largest patch of points (N, 2)."""
+    if len(xy) < 20:
+        return None
+    cell = np.floor((xy - xy.min(axis=0)) / GRID_M).astype(int)
+    size = cell.max(axis=0) + 1
+    if size.max() > 2000:
+        return None
+    grid = np.zeros(size + 8, bool)
+    grid[cell[:, 0] + 4, cell[:, 1] + 4] = True
+    labels, _ = ndimage.label(ndimage.binary_dilation(grid, iterations=4))
+    own = labels[cell[:, 0] + 4, cell[:, 1] + 4]
+    xy = xy[own == np.bincount(own).argmax()]
+    try:
+        return ConvexHull(xy).equations
+    except QhullError:
+        return None
+
+
+def _finish(points: Array, normal: Float, offset: float) -> Support | None:
+    z = points[..., 2]
+    for band in (1.0, 0.7):
+        inliers = np.abs(points @ normal.astype(np.float32) + np.float32(offset)) < band * tolerance(z)
+        if inliers.sum() < 50:
+            return None
+        normal, offset = fit_plane(points[inliers][::7])
+    distance = np.abs(points @ normal.astype(np.float32) + np.float32(offset))
+    inliers = distance < tolerance(z)
+    axes = plane_axes(normal)
+    hull = _outline((points[inliers][::5] @ axes[:2].T.astype(np.float32)).astype(np.float64))
+    if hull is None:
+        return None
+    plane = SupportPlane(normal, float(offset), inliers, float(np.median(distance[inliers])))
+    return Support(plane, hull, axes)
