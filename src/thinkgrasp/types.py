@@ -206,7 +206,7 @@ class Scene:
 
     def obstructing(self, mark: int) -> tuple[Obstruction, ...]:
         """Edges whose `b` is this mark: what is in its way, including what rests on it."""
-        return tuple(e for e in self.obstructions if (e.a == mark if e.relation == "rests_on" else e.b == mark))
+        return tuple(e for e in self.obstructions if e.b == mark)
 
 
 @dataclass(frozen=True)
