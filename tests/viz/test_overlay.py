@@ -11,8 +11,9 @@ from PIL import Image
 
 from thinkgrasp.gripper import GRIPPERS
 from thinkgrasp.types import Decision, Degradation, Grasp
-from thinkgrasp.viz import overlay
-from thinkgrasp.viz.overlay import draw_overlay, plain_text
+from thinkgrasp.viz import glyphs
+from thinkgrasp.viz.glyphs import plain_text
+from thinkgrasp.viz.overlay import draw_overlay
 
 GRIPPER = GRIPPERS["robotiq_2f85"]
 Make = Callable[..., Decision]
@@ -45,7 +46,7 @@ def test_every_status_and_size(make_decision: Make, status: str, width: int, hei
 
 def test_target_outline_follows_the_mask(make_decision: Make) -> None:
     decision = make_decision("no_grasp", width=640, height=480, marks=False)
-    amber = close_to(draw_overlay(decision, GRIPPER), overlay.TARGET)[:480]
+    amber = close_to(draw_overlay(decision, GRIPPER), glyphs.TARGET)[:480]
     assert decision.target is not None
     x0, y0, x1, y1 = decision.target.box_xyxy
     v, u = np.nonzero(amber[: y1 + 2])
@@ -77,7 +78,7 @@ def test_gripper_at_or_behind_the_camera_does_not_fail(make_decision: Make, z: f
 
 def test_every_proposal_gets_a_mark_inside_its_mask(make_decision: Make) -> None:
     decision = make_decision("no_target", width=640, height=480)
-    light = close_to(draw_overlay(decision, GRIPPER), overlay.PAPER, 16)[:480]
+    light = close_to(draw_overlay(decision, GRIPPER), glyphs.PAPER, 16)[:480]
     for proposal in decision.scene.proposals:
         assert (light & proposal.mask).sum() > 25, proposal.mark
     without, _ = changed(make_decision("no_target", width=640, height=480, marks=False))

@@ -12,18 +12,23 @@ from scipy import ndimage
 from thinkgrasp.gripper import Gripper
 from thinkgrasp.selection import cell_box
 from thinkgrasp.types import BoxXYXY, CameraIntrinsics, Decision, Grasp, Mask, Proposal
+from thinkgrasp.viz.glyphs import (
+    BOX_FACES,
+    GRIPPER,
+    INK,
+    MUTED,
+    PAPER,
+    POINT,
+    RGB,
+    STATUS,
+    STATUS_TEXT,
+    TARGET,
+    Float,
+    box_corners,
+    plain_text,
+    to_camera,
+)
 
-RGB = tuple[int, int, int]
-Float = NDArray[np.float64]
-
-TARGET: RGB = (255, 184, 28)
-GRIPPER: RGB = (72, 190, 255)
-POINT: RGB = (236, 44, 120)
-INK: RGB = (22, 24, 28)
-PAPER: RGB = (246, 247, 248)
-MUTED: RGB = (168, 174, 182)
-STATUS: dict[str, RGB] = {"grasp": (82, 200, 120), "no_target": (255, 184, 28), "no_grasp": (240, 98, 84)}
-STATUS_TEXT = {"grasp": "GRASP", "no_target": "NO TARGET", "no_grasp": "NO GRASP"}
 FILLS: tuple[RGB, ...] = ((66, 133, 244), (171, 71, 188), (0, 172, 193), (124, 179, 66), (240, 98, 146), (141, 110, 99))
 
 MIN_WIDTH_PX = 480
@@ -67,12 +72,6 @@ def draw_overlay(decision: Decision, gripper: Gripper) -> Image.Image:
         sheet.tag(target.box_xyxy, target.label, decision.plan.grid, decision.plan.cell)
     picture = Image.alpha_composite(base.convert("RGBA"), sheet.flatten()).convert("RGB")
     return _with_caption(picture, decision)
-
-
-def plain_text(text: str) -> str:
-    """Return text on one line, without control characters or halves of surrogate pairs."""
-    printable = text.encode("utf-8", "replace").decode("utf-8")
-    return " ".join("".join(c if c.isprintable() else " " for c in printable).split())
 
 
 def _tinted(decision: Decision) -> NDArray[np.uint8]:
@@ -165,16 +164,16 @@ class _Sheet:
         """Fingers, palm and approach stem in perspective."""
         inside = _view_limits(camera)
         palm_end = -gripper.finger_length_m - gripper.palm_size_m[2]
-        stem = _to_camera(grasp, np.array([[0, 0, palm_end], [0, 0, palm_end - STEM_M]]))
+        stem = to_camera(grasp, np.array([[0, 0, palm_end], [0, 0, palm_end - STEM_M]]))
         stem = _clip(stem, inside)
         boxes = gripper.bodies(grasp.width_m)
-        distance = np.linalg.norm(_to_camera(grasp, boxes.mean(axis=1)), axis=1)
+        distance = np.linalg.norm(to_camera(grasp, boxes.mean(axis=1)), axis=1)
         fingers = (0, 1) if distance[0] > distance[1] else (1, 0)
         if len(stem) >= 2:
             self._line(camera.project(stem[:2]), INK, 5.0, 170)
             self._line(camera.project(stem[:2]), GRIPPER, 3.0, 200)
         for i in (2, *fingers):  # the palm is the most translucent and comes first, so that it hides no finger
-            for quad, light in _front_faces(_to_camera(grasp, _box_corners(boxes[i]))):
+            for quad, light in _front_faces(to_camera(grasp, box_corners(boxes[i]))):
                 polygon = _clip(quad, inside)
                 if len(polygon) < 3:
                     continue
@@ -182,7 +181,7 @@ class _Sheet:
                 fill = tuple(round(c * light) for c in GRIPPER)
                 self._draw.polygon(xy, fill=(*fill, 70 if i == 2 else 215))
                 self._draw.line([*xy, xy[0]], (*INK, 120 if i == 2 else 230), max(1, round(1.0 * self._unit)))
-        pads = _clip(_to_camera(grasp, np.array([[-grasp.width_m / 2, 0, 0], [grasp.width_m / 2, 0, 0]])), inside)
+        pads = _clip(to_camera(grasp, np.array([[-grasp.width_m / 2, 0, 0], [grasp.width_m / 2, 0, 0]])), inside)
         if len(pads) >= 2:
             self._line(camera.project(pads[:2]), PAPER, 1.0, 220)
 
@@ -282,24 +281,11 @@ def _seat(
     return float(u[best]), float(v[best])
 
 
-def _to_camera(grasp: Grasp, points: Float) -> Float:
-    return points @ grasp.rotation.T + grasp.position
-
-
-def _box_corners(box: Float) -> Float:
-    """(8, 3) corners; bit i of the index chooses the upper end of axis i."""
-    bits = np.array([[i & 1, i >> 1 & 1, i >> 2 & 1] for i in range(8)])
-    return np.take_along_axis(box, bits, axis=0)
-
-
-FACES = ((0, 2, 6, 4), (1, 5, 7, 3), (0, 4, 5, 1), (2, 3, 7, 6), (0, 1, 3, 2), (4, 6, 7, 5))
-
-
 def _front_faces(corners: Float) -> list[tuple[Float, float]]:
     """The faces (4, 3) of a box that look at the camera, each with a brightness 0.55..1."""
     center = corners.mean(axis=0)
     faces: list[tuple[Float, float]] = []
-    for face in FACES:
+    for face in BOX_FACES:
         quad = corners[list(face)]
         outward = quad.mean(axis=0) - center
         middle = quad.mean(axis=0)
