@@ -16,6 +16,9 @@ from thinkgrasp.perception.support import Support
 from thinkgrasp.types import Array, Mask
 
 
+MIN_AREA_M2 = 1.2e-4
+
+
 @dataclass(frozen=True, eq=False)
 class _Body:
     """A group's points, subsampled."""
@@ -62,7 +65,7 @@ def assemble(
         (H, W) labels 1..m; pixels without depth are included where they belong to a thing.
     """
     labels = _join(labels, points, normals, lab, support)
-    labels = _drop_slivers(labels, points)
+    labels = _drop_artefacts(labels, foreground, points, normals)
     return _claim_missing(labels, foreground, lab)
 
 
@@ -153,18 +156,25 @@ def _is_attached(part: _Body, body: _Body, border: _Border) -> bool:
     return part.pixels < 0.35 * body.pixels and floats and alike
 
 
-def _drop_slivers(labels: Labels, points: Array) -> Labels:
-    """Drop groups that are too small to be a thing, or only a fringe of flying pixels."""
+def _drop_artefacts(labels: Labels, foreground: Foreground, points: Array, normals: Array) -> Labels:
+    """Drop what only looks like a thing: fringes of smeared depth, bumps of the surface itself, specks."""
     n = int(labels.max())
     if n == 0:
         return labels
+    every = np.arange(n + 1)
     area = np.bincount(labels.ravel(), minlength=n + 1)
     core = np.bincount(labels[ndimage.minimum_filter(labels, 5) == labels].ravel(), minlength=n + 1)
-    z = ndimage.median(np.nan_to_num(points[..., 2]), labels, np.arange(n + 1))
-    z[0] = 0
-    focal = np.hypot(*labels.shape)
-    area_m2 = area * (z / focal) ** 2
-    keep = (area >= 80) & (core >= 0.12 * area) & (area_m2 > 1.2e-4)
+    with np.errstate(invalid="ignore"):
+        cosine = -(points * normals).sum(axis=2) / np.linalg.norm(points, axis=2)
+    facing = ndimage.median(np.nan_to_num(cosine), labels, every)
+    z = ndimage.median(np.nan_to_num(points[..., 2]), labels, every)
+    height = ndimage.maximum(np.nan_to_num(foreground.height), labels, every)
+    contrast = ndimage.median(foreground.contrast, labels, every)
+    area_m2 = area * (z / np.hypot(*labels.shape)) ** 2
+    speck = (area < 80) | (core < 0.12 * area) | (area_m2 < MIN_AREA_M2)
+    smear = (facing < 0.35) & (area_m2 < 15 * MIN_AREA_M2)
+    bump = (height < 0.03) & (contrast < foreground.usual_contrast) & (area_m2 < 15 * MIN_AREA_M2)
+    keep = ~(speck | smear | bump)
     keep[0] = False
     new = np.where(keep, np.cumsum(keep), 0).astype(np.int32)
     return new[labels]
@@ -173,18 +183,20 @@ def _drop_slivers(labels: Labels, points: Array) -> Labels:
 def _claim_missing(labels: Labels, foreground: Foreground, lab: Array, reach_px: int = 25) -> Labels:
     """Give pixels without depth, or too low to be told from the surface, to the thing beside them.
 
-    They must differ in colour from the surface and be no further than `reach_px`; enclosed ones (a bowl's bottom) too.
+    They must differ in colour from the surface, look like the thing's nearest pixel and be no further than `reach_px`
+    from it; enclosed ones (a bowl's bottom) need differ from the surface only.
     """
     if not labels.any():
         return labels
-    surface = foreground.region & (labels == 0) & np.isfinite(foreground.height)
-    surface &= np.abs(foreground.height) < 0.01
-    usual = float(np.percentile(foreground.contrast[surface], 95)) if surface.any() else 0.0
-    unclaimed = (labels == 0) & (~np.isfinite(foreground.height) | foreground.region)
-    differs = unclaimed & (foreground.contrast > usual + 6)
-    linked = ndimage.binary_propagation(labels > 0, mask=differs | (labels > 0)) & differs
+    usual = foreground.usual_contrast
+    blind = ~np.isfinite(foreground.height)
+    differs = (labels == 0) & np.where(
+        blind, foreground.contrast > usual + 6, foreground.region & (foreground.contrast > usual + 12)
+    )
     distance, nearest = ndimage.distance_transform_edt(labels == 0, return_indices=True)
     owner = labels[nearest[0], nearest[1]]
+    differs &= np.linalg.norm(lab - lab[nearest[0], nearest[1]], axis=2) < 30
+    linked = ndimage.binary_propagation(labels > 0, mask=differs | (labels > 0)) & differs
     claimed = linked & (distance <= reach_px)
     out = np.where(claimed, owner, labels).astype(np.int32)
     for i, box in enumerate(ndimage.find_objects(out), start=1):

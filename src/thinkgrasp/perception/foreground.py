@@ -27,6 +27,8 @@ class Foreground:
     """(H, W) [m] above the support; NaN = no return."""
     contrast: Array
     """(H, W) colour difference [Delta E] to the support's colour around the pixel."""
+    usual_contrast: float
+    """What 95 % of the surface's own pixels stay below."""
 
 
 def find_foreground(points: Array, lab: Array, support: Support, workspace: Mask | None) -> Foreground:
@@ -52,14 +54,14 @@ def find_foreground(points: Array, lab: Array, support: Support, workspace: Mask
         noise = 1.4826 * support.plane.residual_m
         surface = region & (np.abs(height) < 0.006 + 2 * noise)
         contrast = _contrast(lab, surface)
-        usual = float(np.percentile(contrast[surface], 90)) if surface.any() else 0.0
+        usual = float(np.percentile(contrast[surface], 95)) if surface.any() else 0.0
         clear, slight = max(0.007, 4.5 * noise), max(0.004, 2.5 * noise)
-        mask = region & ((height > clear) | ((height > slight) & (contrast > usual + 8)))
+        mask = region & ((height > clear) | ((height > slight) & (contrast > usual + 6)))
     mask = ndimage.binary_opening(mask, iterations=1)
     labels, n = ndimage.label(mask)
     if n:
         mask = (np.bincount(labels.ravel()) >= MIN_PIXELS)[labels] & mask
-    return Foreground(mask, region, height, contrast)
+    return Foreground(mask, region, height, contrast, usual)
 
 
 def flying_pixels(points: Array, steepness: float = 5.0) -> Mask:

@@ -16,6 +16,11 @@ from thinkgrasp.types import Array, CameraIntrinsics, Mask, Proposal
 MAX_POINTS = 1500
 MAX_SIDE_M = 0.6
 BORDER_PX = 2
+CELL_M = 0.008
+SURFACE_M = 0.004
+"""Lower points may be the support, seen through a hole or beside the thing."""
+MIN_FACING = 0.3
+"""Cosine between normal and line of sight below which depth is smear rather than surface."""
 
 
 def make_proposals(
@@ -36,19 +41,23 @@ def make_proposals(
     axes = support.axes
     origin = -support.plane.offset_m * support.plane.normal
     size = (camera.height, camera.width)
-    flying = flying_pixels(points)
+    with np.errstate(invalid="ignore"):
+        facing = -(points * normals).sum(axis=2) / np.linalg.norm(points, axis=2)
+        slanted = ~(facing > MIN_FACING) | flying_pixels(points)
     for label, box in enumerate(ndimage.find_objects(labels), start=1):
         if box is None:
             continue
         small = labels[box] == label
         seen = small & np.isfinite(points[box][..., 2])
-        solid = _solid(small, seen, flying[box])
+        solid = _solid(small, seen, slanted[box])
         if solid.sum() < 20:
             continue
         index = np.flatnonzero(solid)[:: max(1, int(solid.sum()) // MAX_POINTS)]
         p = points[box].reshape(-1, 3)[index].astype(np.float64)
         n = np.nan_to_num(normals[box].reshape(-1, 3)[index].astype(np.float64))
         local = (p - origin) @ axes.T
+        body = _without_strays(local)
+        local, n = local[body], n[body]
         away = local[:, :2].mean(axis=0) - (-origin @ axes.T)[:2]
         toward_camera = -away / max(float(np.linalg.norm(away)), 1e-6)
         shape = describe_shape(Surface(local, n @ axes.T), toward_camera)
@@ -77,14 +86,34 @@ def make_proposals(
     return tuple(_numbered(found))
 
 
-def _solid(mask: Mask, seen: Mask, flying: Mask) -> Mask:
-    """Pixels whose depth can be trusted: not at the outline, where depth mixes with the background."""
-    trusted = seen & ~flying
+def _solid(mask: Mask, seen: Mask, slanted: Mask) -> Mask:
+    """Pixels whose depth can be trusted: not at the outline, where depth is smeared towards the background."""
+    trusted = seen & ~slanted
+    if trusted.sum() < 0.4 * seen.sum():
+        trusted = seen
     for iterations in (3, 2, 1):
         core = trusted & ndimage.binary_erosion(mask, iterations=iterations)
         if core.sum() > 0.55 * trusted.sum():
             return core
     return trusted
+
+
+def _without_strays(local: Float) -> np.ndarray:
+    """Points (N,) bool that form the thing: above the surface, and in the densest connected patch of the footprint."""
+    above = local[:, 2] > SURFACE_M
+    if above.sum() < max(20, 0.5 * len(above)):
+        above = np.ones(len(local), bool)
+    cell = np.floor((local[:, :2] - local[above, :2].min(axis=0)) / CELL_M).astype(int) + 1
+    inside = above & (cell < MAX_SIDE_M * 3 / CELL_M).all(axis=1)
+    count = np.zeros(cell[inside].max(axis=0) + 2, int)
+    np.add.at(count, (cell[inside, 0], cell[inside, 1]), 1)
+    dense = count >= max(1, 0.2 * float(np.median(count[count > 0])))
+    patches, n = ndimage.label(dense, structure=np.ones((3, 3)))
+    weight = ndimage.sum_labels(count, patches, np.arange(n + 1))
+    weight[0] = 0
+    kept = inside.copy()
+    kept[inside] = patches[cell[inside, 0], cell[inside, 1]] == int(np.argmax(weight))
+    return kept if kept.sum() >= 20 else above
 
 
 def _full_size(small: Mask, box: tuple[slice, slice], scale: int, size: tuple[int, int]) -> Mask:

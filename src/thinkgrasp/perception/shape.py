@@ -253,15 +253,17 @@ def _box_degree(n: Float, rectangle: _Rectangle) -> float:
 
 
 def _hollow_degree(p: Float, n: Float, rectangle: _Rectangle, horizontal: Float) -> float:
-    """How much the thing is open at the top: a middle that lies lower than the rim, walls that face inwards."""
-    if horizontal[1] > 2.0 * max(horizontal[0], 1e-3):
-        return 0.0
+    """How much the thing is open at the top: a rim all around, a middle that lies lower, walls that face inwards."""
+    aspect = horizontal[1] / max(horizontal[0], 1e-3)
     offset = (p[:, :2] - rectangle.center) / max(horizontal.mean() / 2, 1e-3)
     radius = np.linalg.norm(offset, axis=1)
     rim = float(np.percentile(p[:, 2], 96))
+    high = (p[:, 2] > 0.6 * rim) & (radius > 0.5)
+    around = _arc(offset[high], 12) if high.sum() > 12 else 0.0
+    closed = _ramp(around, 0.55, 0.8) * (1 - _ramp(aspect, 1.6, 2.0))
     inward = -((offset / np.maximum(radius, 1e-6)[:, None]) * n[:, :2]).sum(1)
     inside = (inward > 0.35) & (radius > 0.25) & (p[:, 2] < rim - 0.006)
     walls = _ramp(float(inside.mean()), 0.06, 0.22)
     middle = p[radius < 0.4, 2]
     sunk = rim - float(np.median(middle)) if len(middle) > 0.03 * len(p) else 0.0
-    return max(walls, _ramp(sunk / max(rim, 0.01), 0.25, 0.6))
+    return closed * max(walls, _ramp(sunk / max(rim, 0.01), 0.25, 0.6))
