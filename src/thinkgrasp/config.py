@@ -272,7 +272,7 @@ def _required(key: str, value: object) -> StageConfig:
 
 
 def _checks(value: object) -> tuple[StageConfig, ...]:
-    if isinstance(value, str) or not isinstance(value, Iterable):
+    if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
         raise ConfigError(f"checks must be a list of check names, got {value!r}")
     return tuple(_required("checks", item) for item in cast(Iterable[object], value))
 

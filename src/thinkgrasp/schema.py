@@ -235,8 +235,8 @@ def _grasp(grasp: Grasp, T_world_camera: NDArray[np.float64] | None, standoff_m:
         position_m=_vector(position),
         quat_wxyz=(w, x, y, z),
         rotation=(_vector(R[0], 9), _vector(R[1], 9), _vector(R[2], 9)),
-        width_m=round(grasp.width_m, 6),
-        score=round(grasp.score, 6),
+        width_m=round(float(grasp.width_m), 6),
+        score=round(float(grasp.score), 6),
         pregrasp_position_m=_vector(pregrasp),
     )
 
