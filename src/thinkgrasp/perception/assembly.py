@@ -161,15 +161,18 @@ def _drop_artefacts(labels: Labels, foreground: Foreground, points: Array, norma
     n = int(labels.max())
     if n == 0:
         return labels
-    every = np.arange(n + 1)
     area = np.bincount(labels.ravel(), minlength=n + 1)
     core = np.bincount(labels[ndimage.minimum_filter(labels, 5) == labels].ravel(), minlength=n + 1)
-    with np.errstate(invalid="ignore"):
-        cosine = -(points * normals).sum(axis=2) / np.linalg.norm(points, axis=2)
-    facing = ndimage.median(np.nan_to_num(cosine), labels, every)
-    z = ndimage.median(np.nan_to_num(points[..., 2]), labels, every)
-    height = ndimage.maximum(np.nan_to_num(foreground.height), labels, every)
-    contrast = ndimage.median(foreground.contrast, labels, every)
+    facing, z, height, contrast = np.zeros((4, n + 1))
+    for i, box in enumerate(ndimage.find_objects(labels), start=1):
+        if box is None:
+            continue
+        own = labels[box] == i
+        p, m = points[box][own], normals[box][own]
+        facing[i] = np.nanmedian(-(p * np.nan_to_num(m)).sum(axis=1) / np.linalg.norm(p, axis=1))
+        z[i] = np.nanmedian(p[:, 2])
+        height[i] = np.nanmax(foreground.height[box][own])
+        contrast[i] = np.median(foreground.contrast[box][own])
     area_m2 = area * (z / np.hypot(*labels.shape)) ** 2
     speck = (area < 80) | (core < 0.12 * area) | (area_m2 < MIN_AREA_M2)
     smear = (facing < 0.35) & (area_m2 < 15 * MIN_AREA_M2)

@@ -36,9 +36,11 @@ class Support:
 
     def distance_outside(self, points: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return how far (...) [m] points (..., 3) lie outside the outline, seen along the normal; <= 0 inside."""
-        xy = self.footprint(points)
-        hull = self.hull.astype(points.dtype)
-        return (xy @ hull[:, :2].T + hull[:, 2]).max(axis=-1)
+        x, y = (np.ascontiguousarray(points @ axis.astype(points.dtype)) for axis in self.axes[:2])
+        distance = np.full(x.shape, -np.inf, points.dtype)
+        for a, b, c in self.hull.astype(points.dtype):
+            np.maximum(distance, a * x + b * y + c, out=distance)
+        return distance
 
 
 def tolerance(z: NDArray[np.floating]) -> NDArray[np.floating]:
