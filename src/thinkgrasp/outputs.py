@@ -20,7 +20,7 @@ def check_writable(path: Path, what: str, *, inputs: Iterable[Path] = ()) -> Non
             raise InputError(f"{what} {path} is a directory; give a file name")
         if not path.parent.is_dir():
             raise InputError(f"{what} {path} cannot be written: the directory {path.parent} does not exist")
-        if path.exists():
+        if _exists(path):
             for other in inputs:
                 if other.exists() and path.samefile(other):
                     raise InputError(f"{what} {path} would overwrite an input file; choose another name")
@@ -61,6 +61,15 @@ def write_atomic(path: Path, data: bytes) -> None:
     finally:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
+
+
+def _exists(path: Path) -> bool:
+    """Like Path.exists, but names that no file can have raise."""
+    try:
+        path.stat()
+    except FileNotFoundError:
+        return False
+    return True
 
 
 def _umask() -> int:
