@@ -7,17 +7,39 @@ understands is kept in `Query.unknown`, so that a planner can say so.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from thinkgrasp.language.vocabulary import Lexeme, load_vocabulary, read, stem
 
+T = TypeVar("T")
+
 MAX_LANDMARK_DEPTH = 2
 
-_USE_MARKERS = frozenset("to can for could i me we must should will wanna gonna let and then who".split())
+_USE_MARKERS = frozenset(
+    [
+        "to",
+        "can",
+        "for",
+        "could",
+        "i",
+        "me",
+        "we",
+        "must",
+        "should",
+        "will",
+        "wanna",
+        "gonna",
+        "let",
+        "and",
+        "then",
+        "who",
+    ]
+)
 _NOUN_USES = frozenset({"drink"})
-_STATES = frozenset("thirsty hungry starving headache sick ill thirst hunger edible".split())
+_STATES = frozenset(["thirsty", "hungry", "starving", "headache", "sick", "ill", "thirst", "hunger", "edible"])
 _INSTRUMENT_MARKERS = frozenset({"with", "using", "use"})
 _VIEW_OF_RELATION = {"left of": "left", "right of": "right", "in front of": "front", "behind": "back"}
-_PRONOUNS = frozenset("i you we it that which they one someone robot".split())
+_PRONOUNS = frozenset(["i", "you", "we", "it", "that", "which", "they", "one", "someone", "robot"])
 _PART_MARKERS = frozenset({"by", "at", "from"})
 
 
@@ -83,16 +105,18 @@ class Wanted:
     @property
     def has_attributes(self) -> bool:
         """Whether a colour, shape, size, place or relation was said."""
-        return bool(
-            self.colors or self.shapes or self.sizes or self.superlative or self.views or self.relations
-        )
+        return bool(self.colors or self.shapes or self.sizes or self.superlative or self.views or self.relations)
+
+    @property
+    def label_colors(self) -> str:
+        """The colours as words."""
+        return (" or " if self.any_color else " and ").join(f"{c.tone} {c.word}".strip() for c in self.colors)
 
     @property
     def label(self) -> str:
         """A short readable name such as "small red box"."""
-        colors = [f"{c.tone} {c.word}".strip() for c in self.colors]
         words = [self.superlative.key] if self.superlative else []
-        words += [*self.sizes, *self.shapes, (" or " if self.any_color else " ").join(colors)]
+        words += [*self.sizes, *self.shapes, self.label_colors]
         noun = self.said or (f"thing to {self.uses[0]}" if self.uses else "object")
         return " ".join(w for w in (*words, noun) if w)
 
@@ -224,7 +248,7 @@ def _has_head(lexemes: list[Lexeme]) -> bool:
     only_color = all(x.has("color") for x in lexemes if x.has("name"))
     names = any(x.has("name", "category", "standin", "anything") for x in lexemes)
     if names and only_color and not any(x.has("category", "standin", "anything") for x in lexemes):
-        return bool(lexemes) and lexemes[-1].has("name")
+        return lexemes[-1].has("name")
     return names or any(x.has("use") and _use_counts(lexemes, i) for i, x in enumerate(lexemes))
 
 
@@ -341,9 +365,7 @@ class _Parser:
         if self.object_of_use and not self._instrument_marked(i):
             return
         if not self.thing.names and not self.thing.categories:
-            self.thing = replace(
-                self.thing, categories=(category,), uses=(), said=self.lexemes[i].text, anything=False
-            )
+            self.thing = replace(self.thing, categories=(category,), uses=(), said=self.lexemes[i].text, anything=False)
 
     def _use(self, i: int, use: str) -> None:
         if self.thing.names or self.thing.uses:
@@ -440,5 +462,5 @@ def _split_between(lexemes: list[Lexeme]) -> list[list[Lexeme]]:
     return groups
 
 
-def _added(items: tuple, item: object) -> tuple:
+def _added(items: tuple[T, ...], item: T) -> tuple[T, ...]:
     return items if item in items else (*items, item)

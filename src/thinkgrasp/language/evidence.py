@@ -1,0 +1,159 @@
+"""How well a thing's colours, shape and size agree with a word: degrees from 0 to 1, no network.
+
+Two scales are used. What is usually so ("bananas are yellow") is judged mildly; what was said ("the yellow one") is
+judged strictly. Sizes from a single view come out too small more often than too large, and are judged accordingly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thinkgrasp.language import COLOR_NAMES, SHAPE_NAMES
+from thinkgrasp.language.knowledge import Knowledge, load_knowledge
+from thinkgrasp.language.query import ColorWish
+from thinkgrasp.language.vocabulary import load_vocabulary
+from thinkgrasp.types import Proposal
+
+Float = NDArray[np.float64]
+
+ANY_COLOR_FIT = 0.75
+NO_SHAPE_FIT = 0.6
+
+_NEIGHBOURS: dict[str, dict[str, float]] = {
+    "red": {"pink": 0.25, "orange": 0.2, "brown": 0.15},
+    "orange": {"red": 0.25, "yellow": 0.2, "brown": 0.25},
+    "yellow": {"orange": 0.3, "green": 0.15, "brown": 0.1},
+    "green": {"blue": 0.2, "yellow": 0.15},
+    "blue": {"green": 0.15, "purple": 0.3},
+    "purple": {"blue": 0.25, "pink": 0.3},
+    "pink": {"red": 0.3, "purple": 0.3},
+    "brown": {"orange": 0.3, "red": 0.15, "yellow": 0.1, "black": 0.15},
+    "black": {"grey": 0.3},
+    "white": {"grey": 0.4},
+    "grey": {"white": 0.3, "black": 0.3},
+}
+"""Share of a colour's pixels that light or shade may have moved to a neighbouring name."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnowledgeArrays:
+    """The household knowledge as arrays over N objects."""
+
+    names: tuple[str, ...]
+    colors: Float
+    """(N, 11) 1 where usual."""
+    any_color: NDArray[np.bool_]
+    """(N,)"""
+    required: Float
+    """(N, 6) 1 where the shape is expected."""
+    unexpected: Float
+    """(N, 6) 1 where the shape is neither expected nor optional."""
+    longest_m: Float
+    """(N, 2)"""
+    shortest_m: Float
+    """(N, 2)"""
+
+
+@lru_cache(maxsize=1)
+def knowledge_arrays() -> KnowledgeArrays:
+    """Return the arrays of the knowledge that ships with the package."""
+    return _arrays(load_knowledge())
+
+
+def _arrays(knowledge: Knowledge) -> KnowledgeArrays:
+    objects = tuple(knowledge.objects.values())
+    colors = np.array([[c in o.colors for c in COLOR_NAMES] for o in objects], float)
+    required = np.array([[s in o.shapes for s in SHAPE_NAMES] for o in objects], float)
+    optional = np.array([[s in o.optional_shapes for s in SHAPE_NAMES] for o in objects], float)
+    return KnowledgeArrays(
+        names=tuple(o.name for o in objects),
+        colors=colors,
+        any_color=colors.sum(axis=1) == 0,
+        required=required,
+        unexpected=1 - np.maximum(required, optional),
+        longest_m=np.array([o.longest_m for o in objects]),
+        shortest_m=np.array([o.shortest_m for o in objects]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectFits:
+    """How well P proposals fit N known objects."""
+
+    names: tuple[str, ...]
+    form: Float
+    """(N, P) shape and size together."""
+    color: Float
+    """(N, P) usual colours."""
+
+    @property
+    def all(self) -> Float:
+        """(N, P) form and colour."""
+        return self.form * self.color
+
+
+def fit_objects(proposals: Sequence[Proposal]) -> ObjectFits:
+    """Judge every proposal against every known object.
+
+    Args:
+        proposals: P things.
+
+    Returns:
+        Degrees (N, P) in 0..1.
+    """
+    k = knowledge_arrays()
+    colors = np.array([[p.color_share(c) for c in COLOR_NAMES] for p in proposals]).reshape(-1, len(COLOR_NAMES))
+    shapes = np.array([[p.shape_degree(s) for s in SHAPE_NAMES] for p in proposals]).reshape(-1, len(SHAPE_NAMES))
+    extents = np.array([p.extents_m for p in proposals]).reshape(-1, 3)
+
+    n_required = k.required.sum(axis=1)
+    seen = k.required @ (0.2 + 0.8 * shapes).T / np.maximum(n_required, 1)[:, None]
+    shape = np.where(n_required[:, None] > 0, seen, NO_SHAPE_FIT)
+    shape = shape * np.exp(k.unexpected @ np.log(1 - 0.4 * np.clip(shapes, 0, 1)).T)
+    size = _within(extents[:, 0], k.longest_m, 0.45, 0.25) * _within(extents[:, 2], k.shortest_m, 0.8, 0.35)
+    color = 0.12 + 0.88 * np.clip((k.colors @ colors.T - 0.05) / 0.45, 0, 1)
+    color = np.where(k.any_color[:, None], ANY_COLOR_FIT, color)
+    return ObjectFits(k.names, shape * size, color)
+
+
+def _within(side_m: Float, range_m: Float, below: float, above: float) -> Float:
+    """Degree (N, P) to which sides (P,) lie in ranges (N, 2); `below` and `above` are tolerances of the log ratio."""
+    log = np.log(np.maximum(side_m, 1e-3))[None, :]
+    low, high = np.log(np.maximum(range_m, 1e-3)).T[..., None]
+    short = np.maximum(low - log - 0.1, 0) / below
+    long = np.maximum(log - high - 0.05, 0) / above
+    return np.exp(-(short**2) - long**2)
+
+
+def color_degree(proposal: Proposal, wish: ColorWish) -> float:
+    """Return how far a proposal has a colour that was said, 0..1; dark X accepts black, light X white shares."""
+    share = 0.0
+    for rank, name in enumerate(load_vocabulary().colors[wish.word]):
+        own = proposal.color_share(name)
+        near = sum(w * proposal.color_share(n) for n, w in _NEIGHBOURS[name].items())
+        share += max(1 - 0.2 * rank, 0.4) * own + (0.5 if rank else 1.0) * near
+    hue = sum(proposal.color_share(n) for n in load_vocabulary().colors[wish.word])
+    if wish.tone == "dark":
+        share += (0.7 if hue > 0.04 else 0.35) * proposal.color_share("black")
+    elif wish.tone == "light":
+        share += (0.6 if hue > 0.04 else 0.2) * proposal.color_share("white")
+    return min(1.0, 1.18 * share / (share + 0.18))
+
+
+def shape_degree(proposal: Proposal, shape: str) -> float:
+    """Return how far a proposal has a shape that was said, 0..1; seen from above a can is round too."""
+    degree = proposal.shape_degree(shape)
+    longest, middle, shortest = proposal.extents_m
+    if shape == "round":
+        compact = shortest / max(longest, 1e-6)
+        degree = max(degree, 0.6 * proposal.shape_degree("cylindrical") * min(1.0, 1.6 * compact))
+    elif shape == "flat":
+        degree = max(degree, 1 - min(1.0, shortest / max(0.35 * middle, 1e-6)))
+    elif shape == "elongated":
+        degree = max(degree, min(1.0, max(0.0, (longest / max(middle, 1e-6) - 1.5) / 2)))
+    return float(np.clip(degree, 0.0, 1.0))
