@@ -172,15 +172,20 @@ class _Sheet:
         if len(stem) >= 2:
             self._line(camera.project(stem[:2]), INK, 5.0, 170)
             self._line(camera.project(stem[:2]), GRIPPER, 3.0, 200)
-        for i in (2, *fingers):  # the palm is the most translucent and comes first, so that it hides no finger
+        for i in (2, *fingers):  # the palm first and to look through, so that it hides no finger
+            layer = Image.new("RGBA", self._layer.size, (0, 0, 0, 0))
+            draw = ImageDraw.Draw(layer)
             for quad, light in _front_faces(to_camera(grasp, box_corners(boxes[i]))):
                 polygon = _clip(quad, inside)
                 if len(polygon) < 3:
                     continue
                 xy = self._xy(camera.project(polygon))
                 fill = tuple(round(c * light) for c in GRIPPER)
-                self._draw.polygon(xy, fill=(*fill, 70 if i == 2 else 215))
-                self._draw.line([*xy, xy[0]], (*INK, 120 if i == 2 else 230), max(1, round(1.0 * self._unit)))
+                draw.polygon(xy, fill=(*fill, 70 if i == 2 else 215))
+                draw.line([*xy, xy[0]], (*INK, 120 if i == 2 else 230), max(1, round(1.0 * self._unit)))
+            window = layer.getbbox()
+            if window is not None:
+                self._layer.alpha_composite(layer.crop(window), window[:2])
         pads = _clip(to_camera(grasp, np.array([[-grasp.width_m / 2, 0, 0], [grasp.width_m / 2, 0, 0]])), inside)
         if len(pads) >= 2:
             self._line(camera.project(pads[:2]), PAPER, 1.0, 220)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from thinkgrasp.errors import InputError
 from thinkgrasp.gripper import Gripper
-from thinkgrasp.types import Decision, Grasp, Scene
+from thinkgrasp.types import Decision, Grasp, Scene, SupportPlane
 from thinkgrasp.viz.glyphs import (
     BOX_FACES,
     GRIPPER,
@@ -152,7 +152,7 @@ def _up(scene: Scene) -> Float:
 def _layers(decision: Decision, gripper: Gripper, pivot: Float) -> list[_Layer]:
     layers, chosen = _cloud(decision), []
     if decision.scene.support is not None:
-        layers.append(_plane(decision.scene, pivot))
+        layers.append(_plane(decision.scene.support, pivot))
     if decision.alternatives:
         layers.append(_candidates(decision.alternatives, gripper))
     if decision.grasp is not None:
@@ -167,17 +167,18 @@ def _layers(decision: Decision, gripper: Gripper, pivot: Float) -> list[_Layer]:
 
 
 def _cloud(decision: Decision) -> list[_Layer]:
-    """Target, other objects and the rest; what comes first keeps its points, what comes later is thinned."""
+    """Target, other objects and the rest, each with a share of the points that are left; thinned where it has more."""
     points, frame = decision.scene.points, decision.scene.frame
     valid = np.isfinite(points[..., 2])
     target = np.zeros_like(valid) if decision.target is None else decision.target.mask & valid
     objects = _object_mask(decision) & valid & ~target
     left, layers = MAX_POINTS, []
-    for name, mask in (("target", target), ("cloud", objects), ("cloud", valid & ~target & ~objects)):
-        kept, step = _thin(mask, left)
+    groups = (("target", target, 0.5), ("cloud", objects, 0.6), ("cloud", valid & ~target & ~objects, 1.0))
+    for name, mask, share in groups:
+        kept, step = _thin(mask, int(share * left))
         left -= int(kept.sum())
         if kept.any():
-            spacing = 1.4 * step / frame.camera.fx
+            spacing = max(1.4 * step, 1.05 * float(np.ceil(step))) / frame.camera.fx
             layers.append(_Layer(name, "points", points[kept], frame.color[kept], spacing, tintable=name == "target"))
     return layers
 
@@ -194,10 +195,8 @@ def _thin(mask: NDArray[np.bool_], limit: int) -> tuple[NDArray[np.bool_], float
     return kept, step
 
 
-def _plane(scene: Scene, pivot: Float) -> _Layer:
+def _plane(support: SupportPlane, pivot: Float) -> _Layer:
     """A grid on the support around the pivot."""
-    support = scene.support
-    assert support is not None
     n = support.normal
     center = pivot - (float(n @ pivot) + support.offset_m - PLANE_LIFT_M) * n
     across = np.eye(3)[int(np.argmin(np.abs(n)))]
