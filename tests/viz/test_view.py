@@ -180,7 +180,7 @@ class Page:
         write_view(decision, GRIPPER, folder / "view.html")
         self.complaints: list[str] = []
         self.requests: list[str] = []
-        self.tab = browser.new_page(viewport={"width": 1000, "height": 600})
+        self.tab = browser.new_page(viewport={"width": 820, "height": 440})
         self.tab.on("console", lambda m: self.complaints.append(m.text) if m.type == "error" else None)
         self.tab.on("pageerror", lambda e: self.complaints.append(str(e)))
         self.tab.on("request", lambda r: self.requests.append(r.url))
