@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thinkgrasp.language import COLOR_NAMES, SHAPE_NAMES
-from thinkgrasp.language.knowledge import Knowledge, load_knowledge
+from thinkgrasp.language.knowledge import Knowledge, KnownObject, load_knowledge
 from thinkgrasp.language.query import ColorWish
 from thinkgrasp.language.vocabulary import load_vocabulary
 from thinkgrasp.types import Proposal
@@ -22,7 +22,17 @@ from thinkgrasp.types import Proposal
 Float = NDArray[np.float64]
 
 ANY_COLOR_FIT = 0.75
-NO_SHAPE_FIT = 0.6
+"""Colour says little of a thing that comes in any colour."""
+MISSED_SHAPE = 0.4
+"""What is left of an expected shape where the view shows another one only."""
+SHAPELESS = 0.65
+"""What is left of an expected shape where the view shows no clear shape at all."""
+UNEXPECTED_SHAPE = np.array([0.35, 0.35, 0.35, 0.3, 0.35, 0.5])
+"""What an unexpected shape takes away, per descriptor; a hollow is rarely seen where there is none."""
+NO_SHAPE_FIT = 0.7
+"""Shape says little of a thing that has no regular one."""
+
+CHROMATIC = tuple(c for c in COLOR_NAMES if c not in ("black", "white", "grey"))
 
 _NEIGHBOURS: dict[str, dict[str, float]] = {
     "red": {"pink": 0.25, "orange": 0.2, "brown": 0.15},
@@ -37,7 +47,12 @@ _NEIGHBOURS: dict[str, dict[str, float]] = {
     "white": {"grey": 0.4},
     "grey": {"white": 0.3, "black": 0.3},
 }
-"""Share of a colour's pixels that light or shade may have moved to a neighbouring name."""
+"""Share of a neighbouring colour's pixels that may be this colour, moved there by light or shade."""
+
+_SHADED = np.eye(len(COLOR_NAMES)) + np.array(
+    [[_NEIGHBOURS[mine].get(seen, 0.0) for mine in COLOR_NAMES] for seen in COLOR_NAMES]
+)
+"""(11, 11) seen colour to the colours that it may be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +61,13 @@ class KnowledgeArrays:
 
     names: tuple[str, ...]
     colors: Float
-    """(N, 11) 1 where usual."""
-    any_color: NDArray[np.bool_]
-    """(N,)"""
+    """(N, 11) 1 for the most usual colour, less for the next ones, 0 for unusual ones."""
+    n_colors: Float
+    """(N,) number of usual colours; 0 = any."""
     required: Float
     """(N, 6) 1 where the shape is expected."""
+    either: Float
+    """(N, 6) 1 where the shape is one of those of which at least one is expected."""
     unexpected: Float
     """(N, 6) 1 where the shape is neither expected nor optional."""
     longest_m: Float
@@ -67,18 +84,27 @@ def knowledge_arrays() -> KnowledgeArrays:
 
 def _arrays(knowledge: Knowledge) -> KnowledgeArrays:
     objects = tuple(knowledge.objects.values())
-    colors = np.array([[c in o.colors for c in COLOR_NAMES] for o in objects], float)
+    colors = np.array([[_usualness(o, c) for c in COLOR_NAMES] for o in objects])
     required = np.array([[s in o.shapes for s in SHAPE_NAMES] for o in objects], float)
+    either = np.array([[s in o.either_shapes for s in SHAPE_NAMES] for o in objects], float)
     optional = np.array([[s in o.optional_shapes for s in SHAPE_NAMES] for o in objects], float)
+    from_above = np.zeros_like(required)
+    turned = np.maximum(required, either)[:, [SHAPE_NAMES.index("round"), SHAPE_NAMES.index("cylindrical")]].max(axis=1)
+    from_above[:, SHAPE_NAMES.index("round")] = from_above[:, SHAPE_NAMES.index("cylindrical")] = turned
     return KnowledgeArrays(
         names=tuple(o.name for o in objects),
         colors=colors,
-        any_color=colors.sum(axis=1) == 0,
+        n_colors=(colors > 0).sum(axis=1).astype(float),
         required=required,
-        unexpected=1 - np.maximum(required, optional),
+        either=either,
+        unexpected=1 - np.maximum.reduce([required, either, optional, from_above]),
         longest_m=np.array([o.longest_m for o in objects]),
         shortest_m=np.array([o.shortest_m for o in objects]),
     )
+
+
+def _usualness(obj: KnownObject, color: str) -> float:
+    return max(0.5, 1 - 0.1 * obj.colors.index(color)) if color in obj.colors else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +137,22 @@ def fit_objects(proposals: Sequence[Proposal]) -> ObjectFits:
     shapes = np.array([[p.shape_degree(s) for s in SHAPE_NAMES] for p in proposals]).reshape(-1, len(SHAPE_NAMES))
     extents = np.array([p.extents_m for p in proposals]).reshape(-1, 3)
 
-    n_required = k.required.sum(axis=1)
-    seen = k.required @ (0.2 + 0.8 * shapes).T / np.maximum(n_required, 1)[:, None]
+    shapes = np.clip(shapes, 0, 1)
+    missed = SHAPELESS + (MISSED_SHAPE - SHAPELESS) * shapes.max(axis=1, initial=0.0)[:, None]
+    degree = missed + (1 - missed) * shapes
+    has_choice = k.either.any(axis=1)
+    n_required = k.required.sum(axis=1) + has_choice
+    choice = (k.either[:, None, :] * degree[None]).max(axis=2)
+    seen = (k.required @ degree.T + choice) / np.maximum(n_required, 1)[:, None]
     shape = np.where(n_required[:, None] > 0, seen, NO_SHAPE_FIT)
-    shape = shape * np.exp(k.unexpected @ np.log(1 - 0.4 * np.clip(shapes, 0, 1)).T)
+    shape = shape * np.exp(k.unexpected @ np.log(1 - UNEXPECTED_SHAPE * shapes).T)
     size = _within(extents[:, 0], k.longest_m, 0.45, 0.25) * _within(extents[:, 2], k.shortest_m, 0.8, 0.35)
-    color = 0.12 + 0.88 * np.clip((k.colors @ colors.T - 0.05) / 0.45, 0, 1)
-    color = np.where(k.any_color[:, None], ANY_COLOR_FIT, color)
+    slender = np.stack([k.shortest_m[:, i] / np.maximum(k.longest_m[:, i], 1e-3) for i in (0, 1)], axis=1)
+    slender = np.stack([slender.min(axis=1) / 1.2, slender.max(axis=1) * 1.2], axis=1)
+    size = size * _within(extents[:, 2] / np.maximum(extents[:, 0], 1e-3), slender, 0.6, 0.6)
+    usual = 0.15 + 0.85 * np.clip((k.colors @ (colors @ _SHADED).T - 0.05) / 0.6, 0, 1)
+    telling = np.maximum(1 - 0.05 * np.maximum(k.n_colors - 1, 0), ANY_COLOR_FIT)
+    color = np.where(k.n_colors[:, None] == 0, ANY_COLOR_FIT, usual * telling[:, None])
     return ObjectFits(k.names, shape * size, color)
 
 
@@ -132,17 +167,21 @@ def _within(side_m: Float, range_m: Float, below: float, above: float) -> Float:
 
 def color_degree(proposal: Proposal, wish: ColorWish) -> float:
     """Return how far a proposal has a colour that was said, 0..1; dark X accepts black, light X white shares."""
+    names = load_vocabulary().colors[wish.word]
     share = 0.0
-    for rank, name in enumerate(load_vocabulary().colors[wish.word]):
+    for rank, name in enumerate(names):
         own = proposal.color_share(name)
         near = sum(w * proposal.color_share(n) for n, w in _NEIGHBOURS[name].items())
         share += max(1 - 0.2 * rank, 0.4) * own + (0.5 if rank else 1.0) * near
-    hue = sum(proposal.color_share(n) for n in load_vocabulary().colors[wish.word])
+    hue = sum(proposal.color_share(n) for n in names)
     if wish.tone == "dark":
         share += (0.7 if hue > 0.04 else 0.35) * proposal.color_share("black")
     elif wish.tone == "light":
         share += (0.6 if hue > 0.04 else 0.2) * proposal.color_share("white")
-    return min(1.0, 1.18 * share / (share + 0.18))
+    near_names = {n for name in names for n in _NEIGHBOURS[name]}
+    degree = min(1.0, 1.3 * share / (share + 0.3))
+    rival = max((proposal.color_share(n) for n in CHROMATIC if n not in names and n not in near_names), default=0.0)
+    return degree * (0.5 + 0.5 * hue / rival) if 0 < hue < rival else degree
 
 
 def shape_degree(proposal: Proposal, shape: str) -> float:

@@ -23,6 +23,16 @@ Float = NDArray[np.float64]
 MIN_SCORE = 0.35
 """A match below this does not answer to the query."""
 MIN_LANDMARK_SCORE = 0.3
+RIVAL_DISCOUNT = 0.9
+"""The name that was said has this advantage over all those that were not."""
+RIVALRY = 1.8
+"""Exponent on a match's share of the best rival name's fit."""
+RIVALRY_WHEN_DESCRIBED = 0.5
+"""The same where a colour or shape was said too: who describes a thing has most likely seen it."""
+MIN_RELATION = 0.12
+"""Below this nobody would say that the relation holds."""
+STANDS_OUT = 2.5
+"""Ratio of the best score to the next from which on a described thing stands out."""
 SECOND_USE = 0.75
 """Weight of a use that a thing serves, though others serve it better."""
 
@@ -45,12 +55,22 @@ class Grounding:
     """All proposals by how well they answer to a query, best first."""
 
     matches: tuple[Match, ...]
+    described: bool = False
+    """Whether a colour or shape was said."""
     notes: tuple[str, ...] = ()
     """What could not be judged."""
 
     def fitting(self, min_score: float = MIN_SCORE) -> tuple[Match, ...]:
-        """Return the matches that answer to the query."""
-        return tuple(m for m in self.matches if m.score >= min_score)
+        """Return the matches that answer to the query: those above the score, or else the one that stands out.
+
+        A thing stands out when a colour or shape was said, and it reaches half of the score while no other comes near.
+        """
+        good = tuple(m for m in self.matches if m.score >= min_score)
+        if good or not self.described or not self.matches:
+            return good
+        best, *rest = self.matches
+        lone = not rest or rest[0].score * STANDS_OUT <= best.score
+        return (best,) if lone and best.score >= 0.5 * min_score else ()
 
 
 def ground(scene: Scene, query: Query) -> Grounding:
@@ -84,7 +104,8 @@ def ground(scene: Scene, query: Query) -> Grounding:
         for i, p in enumerate(things)
     ]
     matches.sort(key=lambda m: (-m.score, m.mark))
-    return Grounding(tuple(matches), tuple(dict.fromkeys(notes)))
+    described = any(w.colors or w.shapes for w in query.wanted)
+    return Grounding(tuple(matches), described, tuple(dict.fromkeys(notes)))
 
 
 def describe(proposal: Proposal) -> str:
@@ -189,12 +210,14 @@ class _View:
         with_color = not wanted.colors
         fits = self.fits.all if with_color else self.fits.form
         mine = fits[rows] * np.array(list(weights.values()))[:, None]
-        best = mine.argmax(axis=0)
+        literal = np.array([1.15 if name in wanted.names else 1.0 for name in weights])
+        best = (mine * literal[:, None]).argmax(axis=0)
         degree = mine.max(axis=0)
         others = np.array([i for name, i in self.index.items() if name not in _kin(frozenset(weights))], np.intp)
         rival = fits[others].max(axis=0, initial=0.0)
         rival_at = fits[others].argmax(axis=0) if len(others) else np.zeros(len(self.things), np.intp)
-        share = (degree / np.maximum(np.maximum(degree, rival), 1e-9)) ** 0.8
+        doubt = RIVALRY if with_color and not wanted.shapes else RIVALRY_WHEN_DESCRIBED
+        share = (degree / np.maximum(np.maximum(degree, RIVAL_DISCOUNT * rival), 1e-9)) ** doubt
         names = list(weights)
         for i, p in enumerate(self.things):
             out.names[i] = names[best[i]]
@@ -249,7 +272,7 @@ class _View:
             ]
             degrees.append(np.max(each, axis=0))
         what = f"{relation.kind} the {' and the '.join(w.label for w in relation.landmarks)}"
-        self._apply(out, what, 0.05 + 0.95 * np.min(degrees, axis=0))
+        self._apply_relation(out, what, np.min(degrees, axis=0))
 
     def _between(self, scored: list[_Scored], out: _Scored) -> None:
         if len(scored) == 1:
@@ -259,7 +282,14 @@ class _View:
             a, b = int(pair[0]), int(pair[1])
         else:
             a, b = (int(s.score.argmax()) for s in scored[:2])
-        self._apply(out, "between", 0.05 + 0.95 * self.layout.between_degree(a, b))
+        self._apply_relation(out, "between", self.layout.between_degree(a, b))
+
+    def _apply_relation(self, out: _Scored, what: str, degree: Float) -> None:
+        """Apply a relation relative to the candidate that fulfils it best, as people choose among what is there."""
+        best = float(degree[_leading(out.score)].max(initial=0.0))
+        if best >= MIN_RELATION:
+            degree = np.minimum(degree / best, 1) * (0.6 + 0.4 * min(1.0, 2 * best))
+        self._apply(out, what, 0.05 + 0.95 * degree)
 
 
 def _leading(score: Float) -> NDArray[np.bool_]:
@@ -277,7 +307,9 @@ def _kin(names: frozenset[str]) -> frozenset[str]:
         return any(
             w.name.endswith(f" {other.name}")
             or other.name in w.categories
-            or (w.categories == other.categories and w.shapes == other.shapes)
+            or (
+                w.categories == other.categories and w.shapes == other.shapes and w.either_shapes == other.either_shapes
+            )
             for w in wanted
         )
 

@@ -35,6 +35,8 @@ class KnownObject:
     """Usual colours; empty = any."""
     shapes: tuple[str, ...]
     """Descriptors that it shows from most sides."""
+    either_shapes: tuple[str, ...]
+    """Descriptors of which it shows at least one; empty = no such choice."""
     optional_shapes: tuple[str, ...]
     """Descriptors that it may show."""
     longest_m: tuple[float, float]
@@ -123,7 +125,10 @@ def _parse_row(group: str, shared: Mapping[str, Any], row: list[Any]) -> KnownOb
         synonyms=tuple(s.strip() for s in synonyms.split(",") if s.strip()),
         categories=tuple(own.get("categories", ())),
         colors=_known(where, "colour", (c.rstrip("?") for c in colors.split()), COLOR_NAMES),
-        shapes=_known(where, "shape", (s for s in shapes.split() if not s.endswith("?")), SHAPE_NAMES),
+        shapes=_known(where, "shape", (s for s in shapes.split() if s[-1] != "?" and "/" not in s), SHAPE_NAMES),
+        either_shapes=_known(
+            where, "shape", (e for s in shapes.split() if "/" in s for e in s.split("/")), SHAPE_NAMES
+        ),
         optional_shapes=_known(where, "shape", (s[:-1] for s in shapes.split() if s.endswith("?")), SHAPE_NAMES),
         longest_m=ranges[0],
         shortest_m=ranges[1],

@@ -16,24 +16,7 @@ T = TypeVar("T")
 MAX_LANDMARK_DEPTH = 2
 
 _USE_MARKERS = frozenset(
-    [
-        "to",
-        "can",
-        "for",
-        "could",
-        "i",
-        "me",
-        "we",
-        "must",
-        "should",
-        "will",
-        "wanna",
-        "gonna",
-        "let",
-        "and",
-        "then",
-        "who",
-    ]
+    {"to", "can", "for", "could", "i", "me", "we", "must", "should", "will", "wanna", "gonna", "let", "and", "then"}
 )
 _NOUN_USES = frozenset({"drink"})
 _STATES = frozenset(["thirsty", "hungry", "starving", "headache", "sick", "ill", "thirst", "hunger", "edible"])
@@ -247,7 +230,7 @@ def _splits(before: list[Lexeme], after: list[Lexeme], negated: bool) -> bool:
 def _has_head(lexemes: list[Lexeme]) -> bool:
     only_color = all(x.has("color") for x in lexemes if x.has("name"))
     names = any(x.has("name", "category", "standin", "anything") for x in lexemes)
-    if names and only_color and not any(x.has("category", "standin", "anything") for x in lexemes):
+    if lexemes and names and only_color and not any(x.has("category", "standin", "anything") for x in lexemes):
         return lexemes[-1].has("name")
     return names or any(x.has("use") and _use_counts(lexemes, i) for i, x in enumerate(lexemes))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.language.evidence import knowledge_arrays
@@ -40,19 +41,30 @@ class OfflinePlanner:
         grid: Cells per side of the target's box.
         min_score: A thing that answers to the instruction less than this is no match.
         max_width_m: Gripper opening that grasp scores are judged by [m].
+        search: Where a goal that is not seen is looked for: in piles only, or behind tall things that stand free too.
 
     Raises:
         ConfigError: A setting is out of range.
     """
 
-    def __init__(self, *, grid: int = 3, min_score: float = MIN_SCORE, max_width_m: float = 0.085) -> None:
+    def __init__(
+        self,
+        *,
+        grid: int = 3,
+        min_score: float = MIN_SCORE,
+        max_width_m: float = 0.085,
+        search: Literal["piles", "anywhere"] = "piles",
+    ) -> None:
         if not 1 <= grid <= 15:
             raise ConfigError(f"offline planner: grid must be within 1..15, got {grid}")
         if not 0 < min_score < 1:
             raise ConfigError(f"offline planner: min_score must lie in (0, 1), got {min_score}")
         if not 0 < max_width_m < 1:
             raise ConfigError(f"offline planner: max_width_m must lie in (0, 1) m, got {max_width_m}")
+        if search not in ("piles", "anywhere"):
+            raise ConfigError(f"offline planner: search must be 'piles' or 'anywhere', got {search!r}")
         self.grid = grid
+        self.search = search
         self.min_score = min_score
         self.max_width_m = max_width_m
 
@@ -86,7 +98,8 @@ class OfflinePlanner:
     def _take_goal(self, scene: Scene, query: Query, grounding: Grounding, goal: Match, memory: Memory) -> Plan:
         thing = scene.proposal(goal.mark)
         spot = _spot(scene, thing, self.grid, _wanted_part(query, goal), goal.name, memory)
-        rationale = f"{goal.label} (mark {goal.mark}) fits best with {goal.score:.2f}: {'; '.join(goal.reasons)}"
+        because = "; ".join(goal.reasons) or "any will do"
+        rationale = f"{goal.label} (mark {goal.mark}) fits best with {goal.score:.2f}: {because}"
         rationale += f". Nothing has to go first. {spot.because}{_remarks(query, grounding)}"
         return Plan(
             target=goal.label,
@@ -128,7 +141,7 @@ class OfflinePlanner:
         size = _smallest_size(query)
         hider = None
         if size is not None:
-            hider = likely_hider(scene, *size, in_piles_only=False, skip=worn_out)
+            hider = likely_hider(scene, *size, in_piles_only=self.search == "piles", skip=worn_out)
         elif any(w.colors or w.shapes for w in query.wanted):
             hider = likely_hider(scene, 0.08, 0.03, in_piles_only=True, skip=worn_out)
         if hider is None:
