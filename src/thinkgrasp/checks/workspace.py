@@ -88,7 +88,8 @@ class WorkspaceCheck:
     ) -> None:
         if not (0 <= min_distance_m < max_distance_m and max_height_m > 0 and 0 < max_tilt_deg <= 180):
             raise ConfigError(
-                "workspace check: need 0 <= min_distance_m < max_distance_m, max_height_m > 0, 0 < max_tilt_deg <= 180; "
+                "workspace check: need 0 <= min_distance_m < max_distance_m, max_height_m > 0, "
+                "0 < max_tilt_deg <= 180; "
                 f"got {min_distance_m}, {max_distance_m}, {max_height_m}, {max_tilt_deg}"
             )
         self.min_distance_m = min_distance_m

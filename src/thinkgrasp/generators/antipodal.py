@@ -32,6 +32,7 @@ class AntipodalGenerator:
         n_seeds: Points tried as first contact, shared by the objects under the crop.
         n_lines: Contact lines kept, shared likewise.
         n_rim_points: Points probed for rims, shared likewise.
+        max_friction: Pairs that need more friction than this are left out (pinches across a convex edge need 1.0).
         max_tilt_deg: Largest angle between the approach and straight down (or the view, without a support).
         max_towards_camera_deg: How far the approach may lean back towards the camera.
         clearance_m: Room between each open finger and the contact where the gripper opens that far.
@@ -52,6 +53,7 @@ class AntipodalGenerator:
         n_seeds: int = 400,
         n_lines: int = 320,
         n_rim_points: int = 300,
+        max_friction: float = 0.7,
         max_tilt_deg: float = 60.0,
         max_towards_camera_deg: float = 25.0,
         clearance_m: float = 0.007,
@@ -66,6 +68,7 @@ class AntipodalGenerator:
             "n_seeds": n_seeds,
             "n_lines": n_lines,
             "n_rim_points": n_rim_points,
+            "max_friction": max_friction,
             "max_tilt_deg": max_tilt_deg,
             "clearance_m": clearance_m,
             "min_clearance_m": min_clearance_m,
@@ -83,6 +86,7 @@ class AntipodalGenerator:
         self.n_seeds = n_seeds
         self.n_lines = n_lines
         self.n_rim_points = n_rim_points
+        self.max_friction = max_friction
         self.min_clearance_m = min_clearance_m
         tilts = [t for t in (0, 20, -20, 40, -40, 60, -60) if abs(t) <= max_tilt_deg]
         self.placement = PlacementSettings(
@@ -116,14 +120,23 @@ class AntipodalGenerator:
             return Grasps.empty()
         upright = Upright.of(scene, seen.points)
         turned = half_turn(scene, seen, upright)
-        curtain = contour_curtain(scene, mask, crop, upright, 120)
+        curtain = contour_curtain(scene, mask, crop, seen, upright, 120)
         whole = join([seen, *([turned] if turned is not None else []), curtain])
 
         longest = gripper.max_width_m - 2 * self.min_clearance_m
         share = max(n_objects, 1)
         lines = ContactLines.concatenate(
             [
-                pair_lines(whole, upright, longest, -(-self.n_seeds // share), -(-self.n_lines // share), 0.95, rng),
+                pair_lines(
+                    whole,
+                    upright,
+                    longest,
+                    self.max_friction,
+                    -(-self.n_seeds // share),
+                    -(-self.n_lines // share),
+                    0.95,
+                    rng,
+                ),
                 rim_lines(scene, seen, upright, -(-self.n_rim_points // share), rng),
             ]
         )

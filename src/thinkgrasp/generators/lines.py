@@ -51,12 +51,13 @@ def pair_lines(
     surface: Surface,
     upright: Upright,
     max_distance_m: float,
+    max_friction: float,
     n_seeds: int,
     n_lines: int,
     inferred_factor: float,
     rng: np.random.Generator,
 ) -> ContactLines:
-    """Find pairs of surface points whose line lies in both friction cones at mu = 1.
+    """Find pairs of surface points whose line lies in both friction cones.
 
     Of the pairs whose middles share a cell of 1 cm and whose directions share a sector of 15 degrees, the best is kept.
 
@@ -64,6 +65,7 @@ def pair_lines(
         surface: Seen and inferred points of one object.
         upright: Gives "up"; lines steeper than about 50 degrees are left out, no finger could get below.
         max_distance_m: Largest distance between the contacts.
+        max_friction: Friction coefficient of these cones, at most 1.
         n_seeds: How many wanted points are tried as the first contact.
         n_lines: At most so many lines, best first.
         inferred_factor: Factor on the score per contact that was not seen.
@@ -78,7 +80,7 @@ def pair_lines(
     squared = np.sum(a * a, 1)[:, None] + np.sum(p * p, 1)[None] - 2 * a @ p.T
     inward_a = np.sum(na * a, 1)[:, None] - na @ p.T
     inward_b = np.sum(n * p, 1)[None] - a @ n.T
-    cone = 0.5 * squared
+    cone = squared / (1 + max_friction**2)
     closed = (squared > _MIN_PAIR_M**2) & (squared < max_distance_m**2) & (inward_a > 0) & (inward_b > 0)
     closed &= (inward_a * inward_a >= cone) & (inward_b * inward_b >= cone)
     row, column = np.nonzero(closed)
@@ -113,8 +115,9 @@ def pair_lines(
 def rim_lines(scene: Scene, seen: Surface, upright: Upright, n_points: int, rng: np.random.Generator) -> ContactLines:
     """Find thin walls seen from above, the rims of cups and bowls and other ridges, and lines across them.
 
-    A point is on a rim when, a little to both sides and a little below it, the camera saw free space. The wall is
-    thinner than depth can tell, so its thickness is assumed; its slope is taken from the surface seen below the rim.
+    A point is on a rim when the camera saw free space a little below it to both sides, but not ahead and behind, where
+    a mere corner would end. The wall is thinner than depth can tell, so its thickness is assumed; its slope is taken
+    from the surface seen below the rim.
 
     Args:
         scene: Gives the depth image.
@@ -141,9 +144,15 @@ def rim_lines(scene: Scene, seen: Surface, upright: Upright, n_points: int, rng:
     if not on_rim.any():
         return ContactLines.empty()
     p, both = p[on_rim], both[on_rim]
-    doubled = (both @ np.exp(2j * phi)) / 2
-    angle = np.angle(doubled) / 2
+    level = np.stack([p @ side, p @ upright.away], axis=-1)
+    angle = _across_angle(level, np.angle(both @ np.exp(2j * phi)) / 2)
     across = (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * upright.away).astype(np.float32)
+    along = np.cross(upright.up, across)
+    ends = np.stack([p + np.float32(s * 0.007) * along - np.float32(0.004) * upright.up for s in (1, -1)])
+    goes_on = ~(depth_gap(scene, ends.reshape(-1, 3)).reshape(2, -1) > 0.003).any(axis=0)
+    if not goes_on.any():
+        return ContactLines.empty()
+    p, across = p[goes_on], across[goes_on]
 
     tilt, known = _wall_tilt(p, across, seen, upright)
     parts: list[ContactLines] = []
@@ -161,6 +170,23 @@ def rim_lines(scene: Scene, seen: Surface, upright: Upright, n_points: int, rng:
             )
         )
     return ContactLines.concatenate(parts)
+
+
+def _across_angle(level: NDArray[np.floating], probed: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Direction (N,) [rad] across the rim: perpendicular to its course where enough rim points lie around.
+
+    Args:
+        level: Rim points (N, 2) in the horizontal plane.
+        probed: Middle (N,) [rad] of the directions whose probes were free; used where the course is unknown.
+    """
+    offset = level[None] - level[:, None]
+    near = (offset**2).sum(axis=-1) < 0.018**2
+    count = near.sum(axis=1)
+    offset = (offset - (offset * near[..., None]).sum(axis=1, keepdims=True) / count[:, None, None]) * near[..., None]
+    xx, yy, xy = (offset[..., 0] ** 2).sum(1), (offset[..., 1] ** 2).sum(1), (offset[..., 0] * offset[..., 1]).sum(1)
+    course = np.arctan2(2 * xy, xx - yy) / 2
+    stretched = np.hypot(xx - yy, 2 * xy) > 0.6 * (xx + yy)
+    return np.where((count >= 5) & stretched, course + np.pi / 2, probed)
 
 
 def _wall_tilt(

@@ -23,6 +23,8 @@ _FREE_TOLERANCE_M = 0.006
 _MAX_VIOLATION = 0.12
 _CURTAIN_STEP_M = 0.006
 _CURTAIN_DEPTH_M = 0.08
+_ROUND_FACING = 0.74
+_MAX_ROUND_M = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +166,7 @@ def half_turn(scene: Scene, seen: Surface, upright: Upright) -> Surface | None:
         gap = depth_gap(scene, turned.reshape(-1, 3)).reshape(len(axes), -1)
         free = (gap > _FREE_TOLERANCE_M).mean(axis=1)
         match = (np.abs(gap) <= _FREE_TOLERANCE_M).mean(axis=1)
-        score = match - 2 * free - 0.1 * (axes[:, 0] - front) / width
+        score = match - 2 * free - 0.03 * (axes[:, 0] - front) / width
         winner = int(np.argmax(score))
         best = np.array([score[winner], free[winner], 0.0])
         centre = axes[winner]
@@ -178,11 +180,12 @@ def half_turn(scene: Scene, seen: Surface, upright: Upright) -> Surface | None:
     return Surface(points[hidden], normals[hidden], np.zeros(int(hidden.sum()), bool), seen.wanted[hidden])
 
 
-def contour_curtain(scene: Scene, mask: Mask, crop: Mask, upright: Upright, max_points: int) -> Surface:
+def contour_curtain(scene: Scene, mask: Mask, crop: Mask, seen: Surface, upright: Upright, max_points: int) -> Surface:
     """Infer surface from the occluding contour: the contour itself, and a curtain from it down to the support.
 
     At an occluding contour the surface turns away from the camera, so its normal is perpendicular to the ray and to
-    the outline. Below it, what cannot be seen is taken to be no narrower.
+    the outline. Where the seen normals turn towards that one, the surface is round, and its widest line lies beyond
+    the contour. Below, what cannot be seen is taken to be no narrower.
     """
     empty = Surface(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, bool), np.zeros(0, bool))
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -217,12 +220,20 @@ def contour_curtain(scene: Scene, mask: Mask, crop: Mask, upright: Upright, max_
     normal = np.concatenate([outline, np.zeros((len(p), 1))], axis=1).astype(np.float32)
     normal -= np.sum(normal * ray, axis=1, keepdims=True) * ray
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    p = p + normal * (1.5 * p[:, 2:] / np.float32(scene.frame.camera.fx))
+    pixel_m = p[:, 2] / np.float32(scene.frame.camera.fx)
+    facing = np.sum(seen.normals[cKDTree(seen.points).query(p)[1]] * normal, axis=1)
+    p = p + normal * (1.5 * pixel_m[:, None])
     wanted = crop[window][v, u]
 
-    level = normal - (normal @ upright.up)[:, None] * upright.up
+    rise = normal @ upright.up
+    level = normal - rise[:, None] * upright.up
     tilt = np.linalg.norm(level, axis=1)
     hangs = tilt > 0.4
+    radius = _round_radius(facing, pixel_m, upright.height(p), rise)
+    widest = p + (radius * (1 - tilt) / np.maximum(tilt, 1e-3))[:, None] * level - (radius * rise)[:, None] * upright.up
+    beyond = (radius > 0) & hangs & ~(depth_gap(scene, widest) > _FREE_TOLERANCE_M) & (upright.height(widest) > 0.003)
+    p = np.where(beyond[:, None], widest, p)
+    normal = np.where(beyond[:, None], level / np.maximum(tilt, 1e-3)[:, None], normal).astype(np.float32)
     drops = np.arange(1, int(_CURTAIN_DEPTH_M / _CURTAIN_STEP_M) + 1, dtype=np.float32) * _CURTAIN_STEP_M
     below = (p[hangs][:, None] - drops[None, :, None] * upright.up).reshape(-1, 3)
     below_normal = np.repeat(level[hangs] / tilt[hangs, None], len(drops), axis=0)
@@ -235,6 +246,24 @@ def contour_curtain(scene: Scene, mask: Mask, crop: Mask, upright: Upright, max_
         np.zeros(len(points), bool),
         np.concatenate([wanted, below_wanted[good]]),
     )
+
+
+def _round_radius(facing: Float, pixel_m: Float, height: Float, rise: Float) -> Float:
+    """Radius (N,) [m] of a round surface at contour points; 0 where it ends in an edge instead.
+
+    Two bounds: how fast the normals turn over the two or three pixels before the contour, and that a round body whose
+    contour lies at this height touches the support.
+
+    Args:
+        facing: Cosine (N,) between the seen normal just inside and the contour's normal.
+        pixel_m: Size (N,) of a pixel there.
+        height: Of the contour point (N,) above the support.
+        rise: Upward part (N,) of the contour's normal.
+    """
+    turning = 2.5 * pixel_m / np.maximum(1 - facing, 0.02)
+    resting = height / np.maximum(1 + rise, 0.2)
+    radius = np.minimum(np.minimum(2 * turning, resting), _MAX_ROUND_M)
+    return np.where((facing > _ROUND_FACING) & (rise > 0.05), radius, 0).astype(np.float32)
 
 
 def join(parts: list[Surface]) -> Surface:
