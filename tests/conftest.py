@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fakes.frames import FrameFiles
 from fakes.stages import camera_dict, fake_pipeline, table_frame
 from hypothesis import settings
 from PIL import Image
@@ -18,20 +19,6 @@ from thinkgrasp.types import Frame
 
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("repeatable")
-
-REPOSITORY = Path(__file__).resolve().parents[1]
-
-
-@dataclass(frozen=True)
-class FrameFiles:
-    """Paths of a good frame; tests replace one of them by something broken."""
-
-    color: Path
-    depth: Path
-    camera: Path
-
-    def args(self, instruction: str = "the red box") -> list[str]:
-        return ["grasp", str(self.color), str(self.depth), instruction, "--camera", str(self.camera)]
 
 
 @dataclass(frozen=True)

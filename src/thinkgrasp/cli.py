@@ -87,9 +87,8 @@ class GraspCommand:
 
         from thinkgrasp.cameras.files import load_frame
         from thinkgrasp.config import make_pipeline
-        from thinkgrasp.pipeline import check_instruction
 
-        check_instruction(self.instruction)
+        _check_text(self.instruction)
         config = _configure(self.stages)
         frame = load_frame(
             self.color, self.depth, self.camera, depth_scale=self.depth_scale, workspace_mask=self.workspace_mask
@@ -118,10 +117,9 @@ class DemoCommand:
         from thinkgrasp.cameras.files import load_frame
         from thinkgrasp.cameras.saving import save_frame
         from thinkgrasp.config import make_pipeline, to_json
-        from thinkgrasp.pipeline import check_instruction
         from thinkgrasp.schema import decision_to_schema
 
-        check_instruction(self.instruction)
+        _check_text(self.instruction)
         config = _configure(self.stages)
         pipeline = make_pipeline(config)
         make_folder(self.out)
@@ -213,6 +211,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"thinkgrasp {__version__}")
         return DONE
     debug = "--debug" in args
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
     try:
         command = _parse(args)
         if isinstance(command, int):
@@ -264,10 +264,13 @@ def _parse(args: list[str]) -> GraspCommand | DemoCommand | DoctorCommand | Plug
 
 
 def _usage_message(panel: str) -> str:
-    """Turn tyro's boxed report into one line: without title, help texts (indented deeper) and pointers."""
-    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in panel.splitlines()]
-    said = [line.strip("│ ") for line in lines if line.startswith("│") and not line.startswith("│" + 9 * " ")]
-    text = one_line(" ".join(line for line in said if line.strip("─")))
+    """Turn tyro's boxed report into one line: without title, border, help texts (indented deeper) and pointers.
+
+    The border is drawn with box characters, ASCII or spaces, as the terminal allows.
+    """
+    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in panel.strip("\n").splitlines()[1:]]
+    said = [line[1:].strip("│| ") for line in lines if not line[1:].startswith(9 * " ")]
+    text = one_line(" ".join(line for line in said if line.strip("─-╰╯+ ")))
     text = re.split(r" ?(?:For full helptext|Argument helptext:)", text)[0]
     return f"{text or 'the command line cannot be read'} (see thinkgrasp --help)"
 
@@ -296,6 +299,16 @@ def _configure(options: StageOptions) -> PipelineConfig:
     for assignment in options.set:
         config = override(config, *parse_assignment(assignment))
     return config
+
+
+def _check_text(instruction: str) -> None:
+    from thinkgrasp.pipeline import check_instruction
+
+    check_instruction(instruction)
+    try:
+        instruction.encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise InputError(f"the instruction is no valid text: {error}") from error
 
 
 def _check_outputs(overlay: Path | None, view: Path | None, inputs: Sequence[Path]) -> None:
@@ -332,11 +345,22 @@ def _print_decision(decision: Decision, *, as_json: bool) -> None:
 
     model = decision_to_schema(decision)
     if as_json:
-        print(model.to_json(indent=2))
+        print(_encodable(model.to_json(indent=2)))
         return
     from thinkgrasp.summary import print_summary
 
     print_summary(model, decision, sys.stdout)
+
+
+def _encodable(text: str) -> str:
+    """Return JSON text as it is, or with escapes where stdout's encoding lacks a character."""
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError:
+        import json
+
+        return json.dumps(json.loads(text), indent=2)
+    return text
 
 
 if __name__ == "__main__":
