@@ -136,8 +136,8 @@ def _support_score(p: Float, central: Float, inlier: Mask, normal: Float, offset
     above = p @ normal + offset
     standing = (above > OBJECT_HEIGHT_M[0]) & (above < OBJECT_HEIGHT_M[1])
     inside = ((p @ axes[:2].T) @ hull[:, :2].T + hull[:, 2]).max(axis=1) < 0
-    objects = central[standing & inside].sum() / total
-    return share * (0.1 + min(objects, 0.5)) * _upness(normal, up) / float(np.median(p[inlier, 2]))
+    objects = (central[standing & inside] ** 2).sum() / (central**2).sum()
+    return min(share, 0.3) * (0.03 + min(objects, 0.3)) * _upness(normal, up) / float(np.median(p[inlier, 2]))
 
 
 def plane_axes(normal: Float) -> Float:
