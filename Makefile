@@ -1,0 +1,66 @@
+# make demo    one decision on a rendered table top; writes out/demo
+# make test    all tests, in a fresh .venv
+# make lint    ruff and pyright
+# make bench   speed and memory, stage by stage
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+PYTEST_ARGS ?= -n auto --dist loadfile
+
+.PHONY: help demo test lint bench browser clean
+
+help:
+	@sed -n 's/^# //p' Makefile
+
+demo: $(VENV)/.base
+	@code=0; $(BIN)/thinkgrasp demo --out out/demo || code=$$?; [ $$code -le 1 ] || exit $$code
+
+test: $(VENV)/.test browser
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: $(VENV)/.lint
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+bench: $(VENV)/.test
+	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+# The tests of the 3-D view drive a browser; without one they are skipped, and say so.
+browser:
+	@command -v chromium chromium-browser google-chrome >/dev/null 2>&1 && exit 0; \
+	if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	  echo "installing chromium for the tests of the 3-D view"; \
+	  { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends chromium; } >/dev/null \
+	    || echo "chromium could not be installed: the tests of the 3-D view will be skipped"; \
+	else \
+	  echo "no chromium found: the tests of the 3-D view will be skipped (on Debian: sudo apt-get install chromium)"; \
+	fi
+
+$(VENV)/.created:
+	@test -n "$(PYTHON)" || { echo "no python3 found; install Python 3.11 or newer, or run: make PYTHON=/path/to/python3.11"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "$(PYTHON) is older than Python 3.11; run: make PYTHON=/path/to/python3.11"; exit 1; }
+	@$(PYTHON) -m venv $(VENV) \
+	  || { echo "a virtual environment could not be made; on Debian: sudo apt-get install python3-venv"; rm -rf $(VENV); exit 1; }
+	@$(PIP) --upgrade 'pip>=25.1'
+	@touch $@
+
+$(VENV)/.base: $(VENV)/.created pyproject.toml constraints.txt
+	@echo "installing thinkgrasp into $(VENV)"
+	@$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.test: $(VENV)/.base
+	@echo "installing what the tests need"
+	@$(PIP) --group test
+	@touch $@
+
+$(VENV)/.lint: $(VENV)/.test
+	@$(PIP) --group lint
+	@touch $@
+
+clean:
+	rm -rf $(VENV) out build dist
