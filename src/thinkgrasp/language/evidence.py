@@ -35,13 +35,13 @@ NO_SHAPE_FIT = 0.7
 CHROMATIC = tuple(c for c in COLOR_NAMES if c not in ("black", "white", "grey"))
 
 _NEIGHBOURS: dict[str, dict[str, float]] = {
-    "red": {"pink": 0.25, "orange": 0.2, "brown": 0.15},
-    "orange": {"red": 0.25, "yellow": 0.2, "brown": 0.25},
+    "red": {"pink": 0.25, "orange": 0.3, "brown": 0.15},
+    "orange": {"red": 0.4, "yellow": 0.2, "brown": 0.25},
     "yellow": {"orange": 0.3, "green": 0.15, "brown": 0.1},
     "green": {"blue": 0.2, "yellow": 0.15},
-    "blue": {"green": 0.15, "purple": 0.3},
-    "purple": {"blue": 0.25, "pink": 0.3},
-    "pink": {"red": 0.3, "purple": 0.3},
+    "blue": {"green": 0.15, "purple": 0.25},
+    "purple": {"blue": 0.12, "pink": 0.3},
+    "pink": {"red": 0.12, "purple": 0.25},
     "brown": {"orange": 0.3, "red": 0.15, "yellow": 0.1, "black": 0.15},
     "black": {"grey": 0.3},
     "white": {"grey": 0.4},

@@ -32,7 +32,7 @@ RIVALRY_WHEN_DESCRIBED = 0.5
 MIN_RELATION = 0.12
 """Below this nobody would say that the relation holds."""
 STANDS_OUT = 2.5
-"""Ratio of the best score to the next from which on a described thing stands out."""
+"""Ratio of the best score to the next from which on a thing stands out."""
 SECOND_USE = 0.75
 """Weight of a use that a thing serves, though others serve it better."""
 
@@ -63,14 +63,15 @@ class Grounding:
     def fitting(self, min_score: float = MIN_SCORE) -> tuple[Match, ...]:
         """Return the matches that answer to the query: those above the score, or else the one that stands out.
 
-        A thing stands out when a colour or shape was said, and it reaches half of the score while no other comes near.
+        A thing stands out when no other comes near and it reaches half of the score where a colour or shape was said,
+        three quarters of it where none was.
         """
         good = tuple(m for m in self.matches if m.score >= min_score)
-        if good or not self.described or not self.matches:
+        if good or not self.matches:
             return good
         best, *rest = self.matches
         lone = not rest or rest[0].score * STANDS_OUT <= best.score
-        return (best,) if lone and best.score >= 0.5 * min_score else ()
+        return (best,) if lone and best.score >= (0.5 if self.described else 0.75) * min_score else ()
 
 
 def ground(scene: Scene, query: Query) -> Grounding:
@@ -188,8 +189,6 @@ class _View:
     def label(self, i: int, wanted: Wanted, scored: _Scored) -> str:
         """Name proposal i: as it was asked for where that is a name, else by what it was taken for."""
         p = self.things[i]
-        if scored.score[i] < MIN_SCORE:
-            return describe(p)
         if wanted.names:
             return " ".join([*([wanted.label_colors] if wanted.colors else []), wanted.said])
         name = scored.names[i]

@@ -1,0 +1,164 @@
+"""Which thing of a hand-made household table is meant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fakes.household import household, scene, thing
+
+from thinkgrasp.language.grounding import describe, ground, guess_names
+from thinkgrasp.language.places import Layout
+from thinkgrasp.language.query import parse
+from thinkgrasp.types import Obstruction, Scene
+
+NAVY_MUG, WHITE_MUG, CRACKERS, BOWL, SOUP, BANANA, MUSTARD, DRILL, APPLE, MARKER = range(1, 11)
+
+
+@pytest.fixture(scope="module")
+def table() -> Scene:
+    return household()
+
+
+def meant(table: Scene, text: str) -> int | None:
+    fitting = ground(table, parse(text)).fitting()
+    return fitting[0].mark if fitting else None
+
+
+@pytest.mark.parametrize(
+    ("text", "mark"),
+    [
+        ("the dark blue mug", NAVY_MUG),
+        ("the white mug", WHITE_MUG),
+        ("the red box", CRACKERS),
+        ("the cracker box", CRACKERS),
+        ("the green bowl", BOWL),
+        ("a bowl", BOWL),
+        ("the tomato soup can", SOUP),
+        ("the red can", SOUP),
+        ("the banana", BANANA),
+        ("the yellow bottle", MUSTARD),
+        ("the orange drill", DRILL),
+        ("an apple", APPLE),
+        ("a ball", APPLE),
+        ("the black pen", MARKER),
+        ("the purple or green bowl", BOWL),
+        # by use, category and attribute
+        ("something to write with", MARKER),
+        ("a round object", APPLE),
+        ("the red round one", APPLE),
+        ("the biggest box", CRACKERS),
+        # by place
+        ("the cup on the left", NAVY_MUG),
+        ("the mug on the right", WHITE_MUG),
+        ("the rightmost mug", WHITE_MUG),
+        ("the second from the left", NAVY_MUG),
+        ("the leftmost object", MARKER),
+        ("the cup next to the bowl", WHITE_MUG),
+        ("the box behind the apple", CRACKERS),
+        ("the one in front of the apple", BANANA),
+        ("the mug left of the apple", WHITE_MUG),
+        ("the mug but not the white one", NAVY_MUG),
+    ],
+)
+def test_what_is_meant(table: Scene, text: str, mark: int) -> None:
+    assert meant(table, text) == mark
+
+
+@pytest.mark.parametrize(
+    ("text", "marks"),
+    [
+        ("a fruit", {BANANA, APPLE}),
+        ("something to eat", {BANANA, APPLE, CRACKERS, SOUP, MUSTARD}),
+        ("something to drink from", {NAVY_MUG, WHITE_MUG}),
+        ("something to hold other things", {NAVY_MUG, WHITE_MUG, BOWL}),
+        ("a tool", {DRILL, MARKER}),
+    ],
+)
+def test_any_of_several_may_be_meant(table: Scene, text: str, marks: set[int]) -> None:
+    assert meant(table, text) in marks
+
+
+@pytest.mark.parametrize(
+    "text", ["the lemon", "a purple gizmo", "the grey elephant", "the phone", "a pink cup", "a spoon"]
+)
+def test_what_is_not_there_is_not_found(table: Scene, text: str) -> None:
+    assert meant(table, text) is None
+
+
+def test_every_proposal_gets_a_match_between_zero_and_one_best_first(table: Scene) -> None:
+    matches = ground(table, parse("the red box or the banana")).matches
+    scores = [m.score for m in matches]
+    assert sorted(m.mark for m in matches) == list(range(1, 11))
+    assert scores == sorted(scores, reverse=True)
+    assert all(0 <= s <= 1 for s in scores)
+    assert {m.mark for m in matches[:2]} == {CRACKERS, BANANA}
+
+
+def test_reasons_carry_numbers(table: Scene) -> None:
+    best = ground(table, parse("the red box")).matches[0]
+    assert any(r.startswith("colour red 0.") for r in best.reasons)
+    assert best.label == "red box"
+
+
+def test_a_missing_landmark_is_noted_and_does_not_prevent_the_choice(table: Scene) -> None:
+    grounding = ground(table, parse("the banana behind the elephant"))
+    assert grounding.matches[0].mark == BANANA
+    assert grounding.notes == ("no elephant in view to judge 'behind' by",)
+
+
+def test_without_proposals_or_understanding_there_is_no_match(table: Scene) -> None:
+    assert ground(scene([]), parse("the cup")).matches == ()
+    assert ground(table, parse("xyzzy")).matches == ()
+
+
+def test_names_are_guessed_from_what_fits_best(table: Scene) -> None:
+    names = guess_names(table)
+    assert names[BANANA][0] == "banana"
+    assert names[SOUP][0] == "tomato soup can"
+    assert names[CRACKERS][0] == "cracker box"
+    assert guess_names(scene([])) == {}
+
+
+def test_describe_uses_colour_and_shape(table: Scene) -> None:
+    assert describe(table.proposal(BANANA)) == "yellow elongated object"
+
+
+def test_the_order_of_proposals_does_not_matter(table: Scene) -> None:
+    turned = scene(table.proposals[::-1])
+    for text in ("the mug on the left", "a fruit", "the one next to the bowl"):
+        one, other = ground(table, parse(text)).matches, ground(turned, parse(text)).matches
+        assert {m.mark: pytest.approx(m.score) for m in one} == {m.mark: m.score for m in other}
+
+
+def cube(mark: int, at: tuple[float, float], **kwargs: float) -> object:
+    return thing(mark, at, (0.05, 0.05, 0.05), {"grey": 1.0}, {"box-like": 1.0}, **kwargs)  # pyright: ignore[reportArgumentType]
+
+
+def test_layout_axes_follow_the_view_and_the_table() -> None:
+    layout = Layout.of(scene([cube(1, (0, 0)), cube(2, (0.2, 0)), cube(3, (0, 0.2))]))  # pyright: ignore[reportArgumentType]
+    step = layout.position - layout.position[0]
+    np.testing.assert_allclose(step[1], [0.2, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(step[2], [0, 0.2, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("kind", "best"),
+    [("behind", 3), ("in front of", 4), ("left of", 5), ("right of", 2), ("on", 6)],
+)
+def test_relations(kind: str, best: int) -> None:
+    around = {1: (0, 0), 2: (0.15, 0), 3: (0, 0.15), 4: (0, -0.15), 5: (-0.15, 0)}
+    things = [cube(m, at) for m, at in around.items()] + [cube(6, (0, 0), raised=0.05)]
+    view = scene(things, [Obstruction("rests_on", 6, 1, 0.0, "m")])  # pyright: ignore[reportArgumentType]
+    degree = Layout.of(view).relation_degree(kind, 0)
+    assert int(degree.argmax()) + 1 == best
+    assert degree[0] == 0
+
+
+def test_under_is_the_reverse_of_on() -> None:
+    view = scene([cube(1, (0, 0)), cube(2, (0, 0), raised=0.05), cube(3, (0.2, 0))])  # pyright: ignore[reportArgumentType]
+    assert int(Layout.of(view).relation_degree("under", 1).argmax()) == 0
+
+
+def test_between() -> None:
+    view = scene([cube(1, (-0.2, 0)), cube(2, (0.2, 0)), cube(3, (0.02, 0.01)), cube(4, (0.3, 0.2))])  # pyright: ignore[reportArgumentType]
+    assert int(Layout.of(view).between_degree(0, 1).argmax()) == 2
