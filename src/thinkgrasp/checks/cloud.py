@@ -22,8 +22,8 @@ class BlockedCloud:
     """(B + 1,) first point of each block."""
     centers: NDArray[np.float32]
     """(B, 3) middle of each block's points [m]."""
-    radii: NDArray[np.float32]
-    """(B,) of the sphere that holds them [m]."""
+    halves: NDArray[np.float32]
+    """(B, 3) half the sides of the box around them [m]."""
 
     @classmethod
     def of(cls, points: NDArray[np.floating], block_m: float) -> BlockedCloud:
@@ -31,7 +31,7 @@ class BlockedCloud:
         points = np.asarray(points, np.float32)
         if len(points) == 0:
             z = np.zeros
-            return cls(points.reshape(0, 3), z(1, np.intp), z((0, 3), np.float32), z(0, np.float32))
+            return cls(points.reshape(0, 3), z(1, np.intp), z((0, 3), np.float32), z((0, 3), np.float32))
         cell = np.floor((points - points.min(axis=0)) / np.float32(block_m)).astype(np.int64)
         size = cell.max(axis=0) + 1
         key = (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
@@ -40,7 +40,7 @@ class BlockedCloud:
         starts = np.append(np.flatnonzero(np.diff(key, prepend=-1)), len(key)).astype(np.intp)
         low = np.minimum.reduceat(points, starts[:-1])
         high = np.maximum.reduceat(points, starts[:-1])
-        return cls(points, starts, (low + high) / 2, np.linalg.norm(high - low, axis=1) / 2)
+        return cls(points, starts, (low + high) / 2, (high - low) / 2)
 
     def hit(self, grasps: Grasps, low: NDArray[np.floating], high: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Return (N,) True where any point lies in the grasp's own box, corners low and high (N, 3) in its frame."""
@@ -62,15 +62,16 @@ class BlockedCloud:
 
     def _pairs(self, grasps: Grasps, low: NDArray[np.floating], high: NDArray[np.floating]):
         """Yield chunks of (grasp index, local coordinates, inside) over all points in blocks that touch the boxes."""
-        if len(grasps) == 0 or len(self.radii) == 0:
+        if len(grasps) == 0 or len(self.halves) == 0:
             return
         low, high = low.astype(np.float32), high.astype(np.float32)
         R = grasps.rotations
         base = np.einsum("nij,ni->nj", R, grasps.positions)
-        touch = np.ones((len(grasps), len(self.radii)), bool)
+        touch = np.ones((len(grasps), len(self.halves)), bool)
         for axis in range(3):
             c = R[:, :, axis] @ self.centers.T - base[:, axis : axis + 1]
-            touch &= (c > low[:, axis : axis + 1] - self.radii) & (c < high[:, axis : axis + 1] + self.radii)
+            half = np.abs(R[:, :, axis]) @ self.halves.T + np.float32(1e-6)
+            touch &= (c + half >= low[:, axis : axis + 1]) & (c - half <= high[:, axis : axis + 1])
         grasp, block = np.nonzero(touch)
         counts = np.diff(self.starts)[block]
         total = np.cumsum(counts)

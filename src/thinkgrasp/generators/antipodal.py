@@ -47,12 +47,12 @@ class AntipodalGenerator:
     def __init__(
         self,
         *,
-        max_grasps: int = 800,
+        max_grasps: int = 600,
         max_points: int = 700,
         voxel_m: float = 0.003,
         n_seeds: int = 400,
         n_lines: int = 320,
-        n_rim_points: int = 300,
+        n_rim_points: int = 240,
         max_friction: float = 0.7,
         max_tilt_deg: float = 60.0,
         max_towards_camera_deg: float = 25.0,
@@ -120,7 +120,7 @@ class AntipodalGenerator:
             return Grasps.empty()
         upright = Upright.of(scene, seen.points)
         turned = half_turn(scene, seen, upright)
-        curtain = contour_curtain(scene, mask, crop, seen, upright, 120)
+        curtain = contour_curtain(scene, mask, crop, seen, upright, 120, extrapolate=turned is None)
         whole = join([seen, *([turned] if turned is not None else []), curtain])
 
         longest = gripper.max_width_m - 2 * self.min_clearance_m
@@ -142,7 +142,7 @@ class AntipodalGenerator:
         )
         if len(lines) == 0:
             return Grasps.empty()
-        obstacles = np.concatenate([_thinned(whole, 0.006), _surroundings(scene, mask, seen.points, upright, gripper)])
+        obstacles = np.concatenate([_thinned(whole, 0.007), _surroundings(scene, mask, seen.points, upright, gripper)])
         placed = place(lines, gripper, upright, obstacles, self.placement)
         if len(placed.line) == 0:
             return Grasps.empty()
@@ -198,4 +198,4 @@ def _surroundings(scene: Scene, mask: Mask, points: Float, upright: Upright, gri
         near = outside & (cloud >= low).all(axis=-1) & (cloud <= high).all(axis=-1)
     found = cloud[near]
     found = found[upright.height(found) > 0.008]
-    return found[voxel_downsample(found, 0.006)]
+    return found[voxel_downsample(found, 0.007)]

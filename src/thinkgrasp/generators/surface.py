@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from thinkgrasp.geometry import voxel_downsample
 from thinkgrasp.types import Mask, Scene
@@ -23,8 +23,8 @@ _FREE_TOLERANCE_M = 0.006
 _MAX_VIOLATION = 0.12
 _CURTAIN_STEP_M = 0.006
 _CURTAIN_DEPTH_M = 0.08
-_ROUND_FACING = 0.74
-_MAX_ROUND_M = 0.05
+_TURN_OFFSETS_M = (0.002, 0.009)
+_MAX_ROUND_M = 0.06
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ def estimate_normals(points: Float, neighbours: int = 16) -> Float:
     k = min(neighbours, len(points))
     if k < 3:
         return -points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-9)
-    local = points[cKDTree(points).query(points, k=k)[1]].astype(np.float64)
+    local = points[KDTree(points).query(points, k=k)[1]].astype(np.float64)
     local -= local.mean(axis=1, keepdims=True)
     normals = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))[1][:, :, 0].astype(np.float32)
     return np.where(np.sum(normals * points, axis=1, keepdims=True) > 0, -normals, normals)
@@ -121,7 +121,7 @@ def seen_surface(scene: Scene, mask: Mask, crop: Mask, max_points: int, voxel_m:
     if len(keep) > max_points:
         keep = voxel_downsample(points, voxel_m * np.sqrt(len(keep) / max_points))
     p = points[keep]
-    spacing = cKDTree(p).query(p, k=min(5, len(p)))[0][:, -1]
+    spacing = KDTree(p).query(p, k=min(5, len(p)))[0][:, -1]
     lone = spacing > 4 * max(float(np.median(spacing)), voxel_m)
     keep, p = keep[~lone], p[~lone]
     if len(p) < 8:
@@ -137,7 +137,7 @@ def half_turn(scene: Scene, seen: Surface, upright: Upright) -> Surface | None:
     """Complete a surface by half a turn about the vertical axis that explains the view best.
 
     Axes are scored by how much of the turned surface coincides with what is seen and how much of it falls into space
-    that was seen to be free. Of equally good axes the nearest to the camera wins (the thinnest object).
+    that was seen to be free. Among about equally good axes their middle is taken.
 
     Returns:
         The turned points that the camera could not see; None when no axis explains the view.
@@ -154,7 +154,7 @@ def half_turn(scene: Scene, seen: Surface, upright: Upright) -> Surface | None:
     width = max(right - left, 0.01)
     centre = np.array([front + 0.55 * reach, (left + right) / 2])
     steps = np.array([0.5 * reach / 6, 0.24 * width / 3])
-    best = np.full(3, -np.inf)
+    least = np.inf
     for _ in range(2):
         grid = np.stack(np.meshgrid(np.arange(-6, 7), np.arange(-3, 4), indexing="ij"), -1).reshape(-1, 2)
         axes = centre + grid * steps
@@ -164,14 +164,16 @@ def half_turn(scene: Scene, seen: Surface, upright: Upright) -> Surface | None:
             + 2 * (axes[:, :1, None] * upright.away + axes[:, 1:, None] * side)
         ).astype(np.float32)
         gap = depth_gap(scene, turned.reshape(-1, 3)).reshape(len(axes), -1)
-        free = (gap > _FREE_TOLERANCE_M).mean(axis=1)
+        free = np.clip((gap - 0.002) / 0.004, 0, 1)
+        free[np.isnan(free)] = 0
+        violation = free.mean(axis=1)
         match = (np.abs(gap) <= _FREE_TOLERANCE_M).mean(axis=1)
-        score = match - 2 * free - 0.03 * (axes[:, 0] - front) / width
-        winner = int(np.argmax(score))
-        best = np.array([score[winner], free[winner], 0.0])
-        centre = axes[winner]
+        score = match - 2 * violation - 0.01 * (axes[:, 0] - front) / width
+        good = score > score.max() - 0.01
+        centre = axes[good].mean(axis=0)
+        least = violation[good].mean()
         steps = steps / 6
-    if best[1] > _MAX_VIOLATION:
+    if least > _MAX_VIOLATION:
         return None
     base = (centre[0] * upright.away + centre[1] * side).astype(np.float32)
     points = 2 * (seen.points @ upright.up)[:, None] * upright.up - seen.points + 2 * base
@@ -180,12 +182,23 @@ def half_turn(scene: Scene, seen: Surface, upright: Upright) -> Surface | None:
     return Surface(points[hidden], normals[hidden], np.zeros(int(hidden.sum()), bool), seen.wanted[hidden])
 
 
-def contour_curtain(scene: Scene, mask: Mask, crop: Mask, seen: Surface, upright: Upright, max_points: int) -> Surface:
+def contour_curtain(
+    scene: Scene, mask: Mask, crop: Mask, seen: Surface, upright: Upright, max_points: int, *, extrapolate: bool
+) -> Surface:
     """Infer surface from the occluding contour: the contour itself, and a curtain from it down to the support.
 
     At an occluding contour the surface turns away from the camera, so its normal is perpendicular to the ray and to
     the outline. Where the seen normals turn towards that one, the surface is round, and its widest line lies beyond
     the contour. Below, what cannot be seen is taken to be no narrower.
+
+    Args:
+        scene: Gives the depth image.
+        mask: The object (H, W).
+        crop: Where grasps are wanted (H, W).
+        seen: The object's seen surface.
+        upright: Up and away directions, and the support.
+        max_points: At most so many contour points.
+        extrapolate: Continue round surfaces beyond the contour; wanted where no symmetry tells more.
     """
     empty = Surface(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, bool), np.zeros(0, bool))
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -221,7 +234,8 @@ def contour_curtain(scene: Scene, mask: Mask, crop: Mask, seen: Surface, upright
     normal -= np.sum(normal * ray, axis=1, keepdims=True) * ray
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     pixel_m = p[:, 2] / np.float32(scene.frame.camera.fx)
-    facing = np.sum(seen.normals[cKDTree(seen.points).query(p)[1]] * normal, axis=1)
+    tree = KDTree(seen.points)
+    near, inside = (np.sum(seen.normals[tree.query(p - d * normal)[1]] * normal, axis=1) for d in _TURN_OFFSETS_M)
     p = p + normal * (1.5 * pixel_m[:, None])
     wanted = crop[window][v, u]
 
@@ -229,9 +243,15 @@ def contour_curtain(scene: Scene, mask: Mask, crop: Mask, seen: Surface, upright
     level = normal - rise[:, None] * upright.up
     tilt = np.linalg.norm(level, axis=1)
     hangs = tilt > 0.4
-    radius = _round_radius(facing, pixel_m, upright.height(p), rise)
+    radius = _round_radius(near, inside, upright.height(p), rise)
     widest = p + (radius * (1 - tilt) / np.maximum(tilt, 1e-3))[:, None] * level - (radius * rise)[:, None] * upright.up
-    beyond = (radius > 0) & hangs & ~(depth_gap(scene, widest) > _FREE_TOLERANCE_M) & (upright.height(widest) > 0.003)
+    beyond = (
+        extrapolate
+        & (radius > 0)
+        & hangs
+        & ~(depth_gap(scene, widest) > _FREE_TOLERANCE_M)
+        & (upright.height(widest) > 0.003)
+    )
     p = np.where(beyond[:, None], widest, p)
     normal = np.where(beyond[:, None], level / np.maximum(tilt, 1e-3)[:, None], normal).astype(np.float32)
     drops = np.arange(1, int(_CURTAIN_DEPTH_M / _CURTAIN_STEP_M) + 1, dtype=np.float32) * _CURTAIN_STEP_M
@@ -248,22 +268,23 @@ def contour_curtain(scene: Scene, mask: Mask, crop: Mask, seen: Surface, upright
     )
 
 
-def _round_radius(facing: Float, pixel_m: Float, height: Float, rise: Float) -> Float:
+def _round_radius(near: Float, inside: Float, height: Float, rise: Float) -> Float:
     """Radius (N,) [m] of a round surface at contour points; 0 where it ends in an edge instead.
 
-    Two bounds: how fast the normals turn over the two or three pixels before the contour, and that a round body whose
-    contour lies at this height touches the support.
+    Two bounds: how fast the normals turn on the way to the contour, and that a round body whose contour lies at this
+    height touches the support.
 
     Args:
-        facing: Cosine (N,) between the seen normal just inside and the contour's normal.
-        pixel_m: Size (N,) of a pixel there.
+        near: Cosine (N,) between the contour's normal and the seen normal at the first of `_TURN_OFFSETS_M` from it.
+        inside: The same at the second.
         height: Of the contour point (N,) above the support.
         rise: Upward part (N,) of the contour's normal.
     """
-    turning = 2.5 * pixel_m / np.maximum(1 - facing, 0.02)
+    turning = (_TURN_OFFSETS_M[1] - _TURN_OFFSETS_M[0]) / np.maximum(near - inside, 1e-3)
     resting = height / np.maximum(1 + rise, 0.2)
-    radius = np.minimum(np.minimum(2 * turning, resting), _MAX_ROUND_M)
-    return np.where((facing > _ROUND_FACING) & (rise > 0.05), radius, 0).astype(np.float32)
+    radius = np.minimum(turning, resting)
+    expected = 1 - 0.0035 / np.maximum(turning, 0.005) - 0.06
+    return np.where((near > expected) & (radius < _MAX_ROUND_M) & (rise > 0.05), radius, 0).astype(np.float32)
 
 
 def join(parts: list[Surface]) -> Surface:
