@@ -101,7 +101,7 @@ def color_memberships(lab: Array) -> Array:
         out[:, index[name]] = colorful * np.clip(0.5 - off / (2 * _HUE_SOFT_DEG), 0, 1)
 
     dull = _ramp(-L, -60.0, -44.0) * _ramp(-chroma, -60.0, -42.0)
-    for name, share in (("red", 0.4), ("orange", 1.0), ("yellow", 0.9)):
+    for name, share in (("red", 0.4), ("orange", 1.0), ("yellow", 0.5)):
         moved = out[:, index[name]] * dull * share
         out[:, index[name]] -= moved
         out[:, index["brown"]] += moved
@@ -119,7 +119,27 @@ def color_memberships(lab: Array) -> Array:
 
 
 def name_colors(lab: Array) -> tuple[tuple[str, float], ...]:
-    """Return the colour names of pixels (N, 3) with their shares, largest first; shares below 3 % are left out."""
-    shares = color_memberships(lab).mean(axis=0)
+    """Return the colour names of a thing's pixels (N, 3) with their shares, largest first; below 3 % is left out."""
+    shares = color_memberships(_without_shading(lab)).mean(axis=0)
     order = np.argsort(-shares, kind="stable")
     return tuple((COLOR_NAMES[i], round(float(shares[i]), 4)) for i in order if shares[i] >= 0.03)
+
+
+def _without_shading(lab: Array) -> Array:
+    """Brighten pixels that are likely the same paint turned away from the light.
+
+    Shading scales linear light, which scales (L + 16, a, b) by its cube root. Coloured and pale pixels are brightened
+    towards the lightness of the brightest of their own kind, and only those that are not much darker.
+    """
+    out = lab.copy()
+    chroma = np.hypot(lab[:, 1], lab[:, 2])
+    for kind in (chroma >= 15, chroma < 15):
+        if kind.sum() < 10:
+            continue
+        L = lab[kind, 0]
+        bright = float(np.percentile(L, 85))
+        factor = ((bright + 16) / (L + 16)) ** 0.7
+        factor = np.where((L > 0.5 * bright) & (L < bright), np.minimum(factor, 1.35), 1.0)
+        out[kind, 0] = (L + 16) * factor - 16
+        out[kind, 1:] *= factor[:, None]
+    return out

@@ -99,7 +99,7 @@ def _solid(mask: Mask, seen: Mask, slanted: Mask) -> Mask:
 
 
 def _without_strays(local: Float) -> np.ndarray:
-    """Points (N,) bool that form the thing: above the surface, and in the densest connected patch of the footprint."""
+    """Points (N,) bool that form the thing: above the surface, and in a patch of the footprint that holds a tenth of them."""
     above = local[:, 2] > SURFACE_M
     if above.sum() < max(20, 0.5 * len(above)):
         above = np.ones(len(local), bool)
@@ -112,7 +112,7 @@ def _without_strays(local: Float) -> np.ndarray:
     weight = ndimage.sum_labels(count, patches, np.arange(n + 1))
     weight[0] = 0
     kept = inside.copy()
-    kept[inside] = patches[cell[inside, 0], cell[inside, 1]] == int(np.argmax(weight))
+    kept[inside] = (weight >= 0.1 * weight.max())[patches[cell[inside, 0], cell[inside, 1]]]
     return kept if kept.sum() >= 20 else above
 
 

@@ -53,13 +53,14 @@ def describe_shape(surface: Surface, toward_camera: Float) -> Shape:
     lying = _lying_cylinder(p, n, rectangle)
     ball = _ball(p, n, high - bottom)
 
-    footprint = hull
-    if upright is not None and _agrees(upright, rectangle):
-        angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-        ring = upright.center + upright.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        footprint = _hull(np.concatenate([hull, ring]))
-    elif lying is None and ball is None:
-        footprint = _hull(np.concatenate([hull, _hidden_back(p, hull, toward_camera)]))
+    round_one = upright if upright is not None and _agrees(upright, rectangle) else ball
+    if round_one is not None:
+        completion = _ring(round_one)
+    elif lying is not None:
+        completion = _both_sides(hull, rectangle, lying)
+    else:
+        completion = _hidden_back(p, hull, toward_camera)
+    footprint = _hull(np.concatenate([hull, completion]))
     rectangle = _smallest_rectangle(footprint)
     sides = np.array([*rectangle.sides, max(high - bottom, 0.002)])
     axes = np.zeros((3, 3))
@@ -193,6 +194,20 @@ def _ball(p: Float, n: Float, height: float) -> Circle | None:
     return Circle(center, radius, degree) if degree > 0.2 else None
 
 
+def _ring(circle: Circle) -> Float:
+    angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    return circle.center[:2] + circle.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _both_sides(hull: Float, seen: _Rectangle, lying: Circle) -> Float:
+    """Footprint points on both sides of a lying cylinder's axis, over the length that is seen."""
+    axis = seen.axis if seen.sides[0] >= seen.sides[1] else np.array([-seen.axis[1], seen.axis[0]])
+    across = np.array([-axis[1], axis[0]])
+    along = hull @ axis
+    ends = np.array([along.min(), along.max()])[:, None] * axis
+    return np.concatenate([ends + (lying.center[0] + s * lying.radius) * across for s in (-1.0, 1.0)])
+
+
 def _hidden_back(p: Float, hull: Float, toward_camera: Float) -> Float:
     """Footprint points behind the visible ones, so that depth is at least half of the breadth and height allows."""
     across = np.array([-toward_camera[1], toward_camera[0]])
@@ -217,7 +232,7 @@ def _descriptors(
     up_degree = upright.degree if upright is not None and _agrees(upright, rectangle) else 0.0
     degrees = {
         "round": max(ball.degree if ball else 0.0, 0.8 * _ramp(circular, 0.86, 0.94) * max(up_degree, 0.3)),
-        "cylindrical": max(up_degree, lying.degree if lying else 0.0),
+        "cylindrical": max(up_degree, lying.degree if lying else 0.0, _lid_degree(p, n, circular)),
         "box-like": _box_degree(n, rectangle),
         "flat": (1 - _ramp(s[0] / max(s[1], 1e-3), 0.3, 0.6)) * (1 - _ramp(s[0], 0.025, 0.045)),
         "elongated": _ramp(s[2] / max(s[1], 1e-3), 1.5, 2.6),
@@ -228,6 +243,13 @@ def _descriptors(
     degrees["box-like"] *= 1 - 0.7 * max(degrees["cylindrical"], degrees["round"], degrees["hollow"])
     ranked = sorted(((k, round(v, 3)) for k, v in degrees.items()), key=lambda kv: -kv[1])
     return tuple((k, v) for k, v in ranked if v >= 0.1)
+
+
+def _lid_degree(p: Float, n: Float, circular: float) -> float:
+    """How much of the thing is a level round lid that stands above the support: a cylinder seen from above."""
+    top = float(np.percentile(p[:, 2], 95))
+    lid = (n[:, 2] > 0.85) & (p[:, 2] > top - 0.01)
+    return _ramp(float(lid.mean()), 0.5, 0.75) * _ramp(circular, 0.9, 0.96) * _ramp(top, 0.01, 0.025)
 
 
 def _circularity(hull: Float) -> float:
