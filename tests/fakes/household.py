@@ -38,10 +38,11 @@ def thing(
     x1, y1 = np.clip(np.ceil(pixels.max(axis=0)).astype(int), [x0 + 1, y0 + 1], [WIDTH, HEIGHT])
     if mask is None:
         v, u = np.mgrid[:HEIGHT, :WIDTH]
-        mask = (
+        visible = (
             ((u - (x0 + x1 - 1) / 2) / ((x1 - x0) / 2)) ** 2 + ((v - (y0 + y1 - 1) / 2) / ((y1 - y0) / 2)) ** 2
         ) <= 1
     else:
+        visible = mask
         v, u = np.nonzero(mask)
         x0, y0, x1, y1 = u.min(), v.min(), u.max() + 1, v.max() + 1
     T = np.eye(4)
@@ -49,7 +50,7 @@ def thing(
     longest, middle, shortest = sorted(size, reverse=True)
     return Proposal(
         mark=mark,
-        mask=mask,
+        mask=visible,
         box_xyxy=(int(x0), int(y0), int(x1), int(y1)),
         extents_m=(longest, middle, shortest),
         T_camera_object=T,

@@ -10,19 +10,20 @@ from thinkgrasp.language.knowledge import load_knowledge, parse_knowledge
 from thinkgrasp.language.query import parse
 from thinkgrasp.language.vocabulary import load_vocabulary, stem
 
-YCB = """chips can, master chef can, cracker box, sugar box, tomato soup can, mustard bottle, tuna fish can,
-pudding box, gelatin box, potted meat can, banana, strawberry, apple, lemon, peach, pear, orange, plum, pitcher base,
-bleach cleanser, windex bottle, wine glass, bowl, mug, sponge, skillet, skillet lid, plate, fork, spoon, knife, spatula,
-power drill, wood block, scissors, padlock, large marker, small marker, adjustable wrench, phillips screwdriver, flat screwdriver,
-hammer, medium clamp, large clamp, extra large clamp, mini soccer ball, softball, baseball, tennis ball, racquetball,
-golf ball, chain, foam brick, dice, marbles, cups, colored wood blocks, toy airplane, lego duplo, timer, rubiks cube"""
+YCB = """chips can, master chef can, cracker box, sugar box, tomato soup can, mustard bottle, tuna fish can, pudding
+box, gelatin box, potted meat can, banana, strawberry, apple, lemon, peach, pear, orange, plum, pitcher base,
+bleach cleanser, windex bottle, wine glass, bowl, mug, sponge, skillet, skillet lid, plate, fork, spoon,
+knife, spatula, power drill, wood block, scissors, padlock, large marker, small marker, adjustable wrench,
+phillips screwdriver, flat screwdriver, hammer, medium clamp, large clamp, extra large clamp, mini soccer
+ball, softball, baseball, tennis ball, racquetball, golf ball, chain, foam brick, dice, marbles, cups, colored
+wood blocks, toy airplane, lego duplo, timer, rubiks cube"""
 GRASPNET = """cracker box, sugar box, tomato soup can, mustard bottle, potted meat can, banana, bowl, mug, power drill,
-scissors, chips can, strawberry, apple, lemon, peach, pear, orange, plum, knife, phillips screwdriver, flat screwdriver,
-racquetball, b cups, d cups, a toy airplane, c toy airplane, foam brick, dabao wash soup, nzskincare mouth rinse,
-dabao sod, soap box, kispa cleanser, darlie toothpaste, nivea men oil control, baoke marker, pitcher cap, dish,
-white mouse, camel, deer, zebra, large elephant, rhinoceros, small elephant, monkey, giraffe, gorilla, weiquan,
-darlie box, soap, black mouse, dabao facewash, pantene, head shoulders supreme, thera med, dove, head shoulders care,
-lion, coca cola, hippo, tape"""
+scissors, chips can, strawberry, apple, lemon, peach, pear, orange, plum, knife, phillips screwdriver, flat
+screwdriver, racquetball, b cups, d cups, a toy airplane, c toy airplane, foam brick, dabao wash soup,
+nzskincare mouth rinse, dabao sod, soap box, kispa cleanser, darlie toothpaste, nivea men oil control, baoke
+marker, pitcher cap, dish, white mouse, camel, deer, zebra, large elephant, rhinoceros, small elephant,
+monkey, giraffe, gorilla, weiquan, darlie box, soap, black mouse, dabao facewash, pantene, head shoulders
+supreme, thera med, dove, head shoulders care, lion, coca cola, hippo, tape"""
 
 
 def test_there_are_enough_objects_of_many_kinds() -> None:

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thinkgrasp.language.query import ColorWish, Query, RelationWish, Superlative, Wanted, parse
+from thinkgrasp.language.query import parse
+from thinkgrasp.language.wanted import ColorWish, Query, RelationWish, Superlative, Wanted
 
 
 def said(query: Query) -> list[dict[str, object]]:

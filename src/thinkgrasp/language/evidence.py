@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from thinkgrasp.language import COLOR_NAMES, SHAPE_NAMES
 from thinkgrasp.language.knowledge import Knowledge, KnownObject, load_knowledge
-from thinkgrasp.language.query import ColorWish
 from thinkgrasp.language.vocabulary import load_vocabulary
+from thinkgrasp.language.wanted import ColorWish
 from thinkgrasp.types import Proposal
 
 Float = NDArray[np.float64]

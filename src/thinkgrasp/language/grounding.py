@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from thinkgrasp.language.evidence import ObjectFits, color_degree, fit_objects, shape_degree
 from thinkgrasp.language.knowledge import KnownObject, load_knowledge
 from thinkgrasp.language.places import Layout
-from thinkgrasp.language.query import Query, RelationWish, Wanted
+from thinkgrasp.language.wanted import Query, RelationWish, Wanted
 from thinkgrasp.types import Proposal, Scene
 
 Float = NDArray[np.float64]

@@ -17,8 +17,9 @@ from thinkgrasp.language.grounding import (
     guess_names,
 )
 from thinkgrasp.language.knowledge import KnownObject, Part, load_knowledge
-from thinkgrasp.language.query import Query, Wanted, parse
+from thinkgrasp.language.query import parse
 from thinkgrasp.language.vocabulary import load_vocabulary
+from thinkgrasp.language.wanted import Query, Wanted
 from thinkgrasp.memory import Memory
 from thinkgrasp.planners.cells import CellChoice, Outline, choose_cell, part_region
 from thinkgrasp.planners.clearing import Way, likely_hider, way_to
