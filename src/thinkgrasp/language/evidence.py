@@ -23,6 +23,9 @@ Float = NDArray[np.float64]
 
 ANY_COLOR_FIT = 0.75
 """Colour says little of a thing that comes in any colour."""
+SEEN_AS = {"cylindrical": ("round",), "round": ("cylindrical",), "box-like": ("elongated", "flat")}
+"""What a shape may also look like from one side: a can from above is round, a box from its edge is long."""
+ROUND, CYLINDRICAL = SHAPE_NAMES.index("round"), SHAPE_NAMES.index("cylindrical")
 MISSED_SHAPE = 0.4
 """What is left of an expected shape where the view shows another one only."""
 SHAPELESS = 0.65
@@ -88,16 +91,18 @@ def _arrays(knowledge: Knowledge) -> KnowledgeArrays:
     required = np.array([[s in o.shapes for s in SHAPE_NAMES] for o in objects], float)
     either = np.array([[s in o.either_shapes for s in SHAPE_NAMES] for o in objects], float)
     optional = np.array([[s in o.optional_shapes for s in SHAPE_NAMES] for o in objects], float)
-    from_above = np.zeros_like(required)
-    turned = np.maximum(required, either)[:, [SHAPE_NAMES.index("round"), SHAPE_NAMES.index("cylindrical")]].max(axis=1)
-    from_above[:, SHAPE_NAMES.index("round")] = from_above[:, SHAPE_NAMES.index("cylindrical")] = turned
+    expected = np.maximum(required, either)
+    from_one_view = np.zeros_like(required)
+    for shape, looks in SEEN_AS.items():
+        has = expected[:, [SHAPE_NAMES.index(shape)]]
+        from_one_view = np.maximum(from_one_view, has * [look in looks for look in SHAPE_NAMES])
     return KnowledgeArrays(
         names=tuple(o.name for o in objects),
         colors=colors,
         n_colors=(colors > 0).sum(axis=1).astype(float),
         required=required,
         either=either,
-        unexpected=1 - np.maximum.reduce([required, either, optional, from_above]),
+        unexpected=1 - np.maximum.reduce([expected, optional, from_one_view]),
         longest_m=np.array([o.longest_m for o in objects]),
         shortest_m=np.array([o.shortest_m for o in objects]),
     )
@@ -146,7 +151,10 @@ def fit_objects(proposals: Sequence[Proposal]) -> ObjectFits:
     seen = (k.required @ degree.T + choice) / np.maximum(n_required, 1)[:, None]
     shape = np.where(n_required[:, None] > 0, seen, NO_SHAPE_FIT)
     shape = shape * np.exp(k.unexpected @ np.log(1 - UNEXPECTED_SHAPE * shapes).T)
-    size = _within(extents[:, 0], k.longest_m, 0.45, 0.25) * _within(extents[:, 2], k.shortest_m, 0.8, 0.35)
+    ball = (k.required[:, ROUND] > 0) & (k.unexpected[:, CYLINDRICAL] == 0) & (k.either[:, CYLINDRICAL] == 0)
+    more_can_than_ball = np.clip(shapes[:, CYLINDRICAL] - shapes[:, ROUND], 0, 1)
+    shape = shape * (1 - ball[:, None] * UNEXPECTED_SHAPE[CYLINDRICAL] * more_can_than_ball)
+    size = _within(extents[:, 0], k.longest_m, 0.45, 0.25) * _within(extents[:, 2], k.shortest_m, 0.8, 0.5)
     slender = np.stack([k.shortest_m[:, i] / np.maximum(k.longest_m[:, i], 1e-3) for i in (0, 1)], axis=1)
     slender = np.stack([slender.min(axis=1) / 1.2, slender.max(axis=1) * 1.2], axis=1)
     size = size * _within(extents[:, 2] / np.maximum(extents[:, 0], 1e-3), slender, 0.6, 0.6)

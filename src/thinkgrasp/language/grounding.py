@@ -27,8 +27,10 @@ RIVAL_DISCOUNT = 0.9
 """The name that was said has this advantage over all those that were not."""
 RIVALRY = 1.8
 """Exponent on a match's share of the best rival name's fit."""
-RIVALRY_WHEN_DESCRIBED = 0.5
+RIVALRY_WHEN_DESCRIBED = 0.7
 """The same where a colour or shape was said too: who describes a thing has most likely seen it."""
+NEAR_BEST = 0.6
+"""Things with this share of the best score compete on place and size."""
 MIN_RELATION = 0.12
 """Below this nobody would say that the relation holds."""
 STANDS_OUT = 2.5
@@ -178,8 +180,10 @@ class _View:
         for size in wanted.sizes:
             self._apply(out, size, self._size(size, out.score))
         for view in wanted.views:
-            degree = self.layout.view_degree(view, _leading(out.score))
-            self._apply(out, f"at the {view}", 0.15 + 0.85 * degree)
+            leading = _leading(out.score)
+            degree = self.layout.view_degree(view, leading)
+            best = max(float(degree[leading].max(initial=0.0)), 1e-9)
+            self._apply(out, f"at the {view}", 0.15 + 0.85 * np.minimum(degree / best, 1))
         for relation in wanted.relations:
             self._relation(relation, out)
         if wanted.superlative is not None:
@@ -293,7 +297,7 @@ class _View:
 
 def _leading(score: Float) -> NDArray[np.bool_]:
     """Candidates (P,): those that come near to the best."""
-    return score >= 0.5 * max(float(score.max(initial=0.0)), 1e-9)
+    return score >= NEAR_BEST * max(float(score.max(initial=0.0)), 1e-9)
 
 
 @lru_cache(maxsize=256)
