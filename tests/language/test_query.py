@@ -60,6 +60,10 @@ NAMES = [
     ("the banana box", "box"),
     ("an orange, please", "orange"),
     ("the mobile-phone", "phone"),
+    ("the coca-cola can", "soda can"),
+    ("the cup with the white handle", "cup"),
+    ("I spilled my coffee, give me the towel", "towel"),
+    ("I am making breakfast. Give me the bowl.", "bowl"),
     # one letter wrong
     ("give me the bannana", "banana"),
     ("give me the hamer", "hammer"),
@@ -157,6 +161,11 @@ MEANINGS: list[tuple[str, list[dict[str, object]]]] = [
         [{"names": ("cube",), "relations": near("between", thing("cup"), thing("bowl"))}],
     ),
     ("the object nearest to the bowl", [{"relations": near("next to", thing("bowl"))}]),
+    (
+        "the cup that is left of the bowl and behind the can",
+        [{"names": ("cup",), "relations": near("left of", thing("bowl")) + near("behind", thing("can"))}],
+    ),
+    ("the light blue cup on the dark table", [{"names": ("cup",), "colors": color("blue", tone="light")}]),
     # parts
     ("give me the mug by its handle", [{"names": ("mug",), "part": "handle"}]),
     ("grab the bowl by the rim", [{"names": ("bowl",), "part": "rim"}]),
@@ -182,6 +191,12 @@ def test_meanings(text: str, expected: list[dict[str, object]]) -> None:
     [
         ("not the red one", [{"anything": True}], Wanted(colors=color("red"))),
         ("the cup, not the red one", [{"names": ("cup",)}], Wanted(colors=color("red"))),
+        ("anything but the bowl", [{"anything": True}], thing("bowl")),
+        (
+            "the one that is neither red nor blue",
+            [{"anything": True}],
+            Wanted(colors=color("red", "blue"), any_color=True),
+        ),
         ("something other than the bowl", [{"anything": True}], thing("bowl")),
         ("don't give me the bowl", [], thing("bowl")),
     ],

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
+from thinkgrasp.language.knowledge import load_knowledge
 from thinkgrasp.language.vocabulary import Lexeme, load_vocabulary, read, stem
 from thinkgrasp.language.wanted import ColorWish, Query, RelationWish, Superlative, Wanted
 
@@ -39,11 +40,17 @@ def parse(text: str) -> Query:
     wanted: list[Wanted] = []
     excluded: list[Wanted] = []
     unknown: list[str] = []
+    asked = False
     for sentence in read(text):
         lexemes = _without_modal_can(sentence)
         unknown += [lexeme.text for lexeme in lexemes if _is_unknown(lexeme)]
-        for negated, thing in _things(lexemes):
-            (excluded if negated else wanted).append(thing)
+        for chunk in _chunks(lexemes):
+            thing = _Parser(chunk.lexemes).parse()
+            if not thing.understood:
+                continue
+            if chunk.asks and thing.has_noun and not asked:
+                wanted, asked = [], True
+            (excluded if chunk.negated else wanted).append(thing)
     nouns = [w for w in wanted if w.has_noun]
     if nouns:
         wanted = [_merge_anaphora(wanted, w) for w in nouns]
@@ -87,31 +94,30 @@ def _merge_anaphora(wanted: list[Wanted], noun: Wanted) -> Wanted:
     )
 
 
-def _things(lexemes: list[Lexeme]) -> list[tuple[bool, Wanted]]:
-    """Split one sentence into the things that it wants or excludes."""
-    found: list[tuple[bool, Wanted]] = []
-    for negated, chunk in _chunks(lexemes):
-        thing = _Parser(chunk).parse()
-        if thing.understood:
-            found.append((negated, thing))
-    return found
+@dataclass
+class _Chunk:
+    """A stretch of a sentence that says one thing."""
+
+    lexemes: list[Lexeme]
+    negated: bool
+
+    @property
+    def asks(self) -> bool:
+        return not self.negated and any(x.has("request") for x in self.lexemes)
 
 
-def _chunks(lexemes: list[Lexeme]) -> list[tuple[bool, list[Lexeme]]]:
+def _chunks(lexemes: list[Lexeme]) -> list[_Chunk]:
     """Cut at negations, and at and/or/commas where both sides have a noun of their own."""
-    chunks: list[tuple[bool, list[Lexeme]]] = []
-    current: list[Lexeme] = []
-    negated = False
+    chunks = [_Chunk([], negated=False)]
     for i, lexeme in enumerate(lexemes):
+        current = chunks[-1]
         if lexeme.has("negation"):
-            chunks.append((negated, current))
-            current, negated = [], True
-        elif lexeme.has("clause") and _splits(current, lexemes[i + 1 :], negated):
-            chunks.append((negated, current))
-            current, negated = [], False
+            chunks.append(_Chunk([], negated=True))
+        elif lexeme.has("clause") and _splits(current.lexemes, lexemes[i + 1 :], current.negated):
+            chunks.append(_Chunk([], negated=False))
         else:
-            current.append(lexeme)
-    return [*chunks, (negated, current)]
+            current.lexemes.append(lexeme)
+    return chunks
 
 
 def _splits(before: list[Lexeme], after: list[Lexeme], negated: bool) -> bool:
@@ -122,9 +128,16 @@ def _splits(before: list[Lexeme], after: list[Lexeme], negated: bool) -> bool:
         rest.append(lexeme)
     if negated:
         return _has_head(rest)
+    if _starts_with_relation(rest):
+        return False
     if any(x.senses.get("relation") == "between" for x in before):
         return False
     return _has_head(before) and _has_head(rest)
+
+
+def _starts_with_relation(lexemes: list[Lexeme]) -> bool:
+    first = next((x for x in lexemes if not x.has("noise")), None)
+    return first is not None and first.has("relation", "view")
 
 
 def _has_head(lexemes: list[Lexeme]) -> bool:
@@ -174,9 +187,9 @@ class _Parser:
         """Read the lexeme at i and return the index of the next one to read."""
         lexeme = self.lexemes[i]
         senses = lexeme.senses
-        part_end = self._part(i)
-        if part_end is not None:
-            return part_end
+        skip_to = self._part(i) or self._detail(i)
+        if skip_to is not None:
+            return skip_to
         if lexeme.has("superlative") and not (lexeme.has("relation") and self._landmark_follows(i)):
             self._superlative(senses["superlative"])
         elif lexeme.has("relation") and (end := self._relation(i, senses["relation"])) is not None:
@@ -216,7 +229,7 @@ class _Parser:
             self.thing = replace(self.thing, views=_added(self.thing.views, view))
 
     def _color(self, i: int, word: str) -> None:
-        either = any(x.text == "or" for x in self.lexemes[:i]) and bool(self.thing.colors)
+        either = any(x.text in ("or", "nor") for x in self.lexemes[:i]) and bool(self.thing.colors)
         self.thing = replace(
             self.thing,
             colors=_added(self.thing.colors, ColorWish(word, self.tone)),
@@ -236,6 +249,8 @@ class _Parser:
                 self._set_name(i, senses["name"], " ".join(joined))
             elif self.lexemes[i - 2].has("measure"):
                 self._set_name(i, name, said)
+        elif self.last_name_at == i - 1 and set(self.thing.names) & load_knowledge().kinds_of(name):
+            self.last_name_at = i
         elif not self.thing.names or self.last_name_at == i - 1 or self._instrument_marked(i):
             self._set_name(i, name, said)
 
@@ -302,6 +317,15 @@ class _Parser:
         self.thing = replace(self.thing, part=self.thing.part or lexeme.text)
         return i + (2 if of_what else 1)
 
+    def _detail(self, i: int) -> int | None:
+        """Skip "with a white cap": the colour of a part is not that of the thing."""
+        if self.lexemes[i].text != "with" or not self.thing.names:
+            return None
+        for k in range(i + 1, min(i + 5, len(self.lexemes))):
+            if self.lexemes[k].has("part"):
+                return k + 1
+        return None
+
     def _relation(self, i: int, kind: str) -> int | None:
         """Read a relation and its landmark up to the end; None where no landmark follows."""
         rest = self.lexemes[i + 1 :]
@@ -309,7 +333,7 @@ class _Parser:
             return None
         if self.depth >= MAX_LANDMARK_DEPTH or not rest:
             return None
-        surface = next((x for x in rest if not x.has("noise")), None)
+        surface = next((x for x in rest if not x.has("noise", "color", "tone", "size") or x.has("surface")), None)
         if surface is not None and surface.has("surface") and not surface.has("name", "category"):
             view = _VIEW_OF_RELATION.get(kind)
             if view:
@@ -317,7 +341,8 @@ class _Parser:
             elif self.standin_at is not None and not self.thing.understood:
                 self.thing = replace(self.thing, anything=True)
             return i + 1 + rest.index(surface) + 1
-        groups = _split_between(rest) if kind == "between" else [rest]
+        end = len(rest) if kind == "between" else _next_relation(rest)
+        groups = _split_between(rest) if kind == "between" else [rest[:end]]
         landmarks: list[Wanted] = []
         part: str | None = None
         for group in groups:
@@ -333,7 +358,15 @@ class _Parser:
             relations=(*self.thing.relations, RelationWish(kind, tuple(landmarks))),
             part=self.thing.part or part,
         )
-        return len(self.lexemes)
+        return i + 1 + end
+
+
+def _next_relation(lexemes: list[Lexeme]) -> int:
+    """Return where "and behind ..." starts, which belongs to the thing and not to its landmark; else the length."""
+    for i, lexeme in enumerate(lexemes):
+        if lexeme.has("clause") and _starts_with_relation(lexemes[i + 1 :]):
+            return i
+    return len(lexemes)
 
 
 def _split_between(lexemes: list[Lexeme]) -> list[list[Lexeme]]:

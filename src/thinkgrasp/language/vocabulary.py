@@ -179,6 +179,7 @@ def _build(data: Mapping[str, Any], knowledge: Knowledge) -> Vocabulary:
         "standin": data["anything"]["words"],
         "anything": data["anything"]["free"],
         "noise": data["noise"]["words"].split(),
+        "request": data["requests"]["words"],
     }
     for sense, words in lists.items():
         for word in words:
