@@ -141,9 +141,9 @@ def _support_score(p: Float, central: Float, inlier: Mask, normal: Float, offset
 
 
 def plane_axes(normal: Float) -> Float:
-    """Return rows (3, 3): two unit axes in the plane and its normal; continuous in the normal."""
+    """Return right-handed rows (3, 3): two unit axes in the plane and its normal; continuous in the normal."""
     R = rotation_aligning(np.array([0.0, 0.0, -1.0]), normal)
-    return np.stack([R[:, 0], R[:, 1], normal])
+    return np.stack([R[:, 0], -R[:, 1], normal])
 
 
 def _outline(xy: Float) -> Float | None:
