@@ -61,6 +61,7 @@ NAMES = [
     ("an orange, please", "orange"),
     ("the mobile-phone", "phone"),
     ("the coca-cola can", "soda can"),
+    ("put the banana in the bowl", "banana"),
     ("the cup with the white handle", "cup"),
     ("I spilled my coffee, give me the towel", "towel"),
     ("I am making breakfast. Give me the bowl.", "bowl"),
@@ -177,6 +178,9 @@ MEANINGS: list[tuple[str, list[dict[str, object]]]] = [
     ("the cup or something to eat", [{"names": ("cup",)}, {"uses": ("eat",)}]),
     ("take the cup. The red one.", [{"names": ("cup",), "colors": color("red")}]),
     ("pick up anything", [{"anything": True}]),
+    ("clear the table", [{"anything": True}]),
+    ("the tool for screws", [{"categories": ("tool",)}]),
+    ("the last cup", [{"names": ("cup",), "superlative": Superlative("rightmost")}]),
     ("the thing on the table", [{"anything": True}]),
 ]
 

@@ -240,6 +240,8 @@ class _Parser:
     def _name(self, i: int, name: str) -> None:
         if self.object_of_use and not self._instrument_marked(i):
             return
+        if self.thing.categories and any(x.text == "for" for x in self.lexemes[max(0, i - 3) : i]):
+            return
         said = self.lexemes[i].text
         follows_of = i >= 2 and self.lexemes[i - 1].text == "of" and self.last_name_at == i - 2
         if follows_of:
@@ -341,6 +343,8 @@ class _Parser:
             elif self.standin_at is not None and not self.thing.understood:
                 self.thing = replace(self.thing, anything=True)
             return i + 1 + rest.index(surface) + 1
+        if self.thing.has_noun and any(x.has("destination") for x in self.lexemes[:i]):
+            return len(self.lexemes)
         end = len(rest) if kind == "between" else _next_relation(rest)
         groups = _split_between(rest) if kind == "between" else [rest[:end]]
         landmarks: list[Wanted] = []

@@ -180,6 +180,7 @@ def _build(data: Mapping[str, Any], knowledge: Knowledge) -> Vocabulary:
         "anything": data["anything"]["free"],
         "noise": data["noise"]["words"].split(),
         "request": data["requests"]["words"],
+        "destination": data["destinations"]["words"],
     }
     for sense, words in lists.items():
         for word in words:
