@@ -60,3 +60,12 @@ def test_typed():
     from importlib.resources import files
 
     assert files("thinkgrasp").joinpath("py.typed").is_file()
+
+
+def test_import_is_quick():
+    code = "import time; t = time.perf_counter(); import thinkgrasp; print(time.perf_counter() - t)"
+    times = [
+        float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+        for _ in range(3)
+    ]
+    assert min(times) < 0.15
