@@ -35,7 +35,8 @@ def test_a_grasp(pipeline, frame):
     scores = [decision.grasp.score, *(g.score for g in decision.alternatives)]
     assert scores == sorted(scores, reverse=True)
     assert [name for name, _ in decision.timings_ms] == TIMINGS
-    (step,) = decision.funnel
+    candidates, step = decision.funnel
+    assert (candidates.check, candidates.n_in, candidates.n_out) == ("candidates", 20, 20)
     assert (step.check, step.n_in) == ("score", 20)
     assert step.n_out < 20
 
@@ -94,7 +95,7 @@ class TestNothingToTake:
             frame, "red"
         )
         assert decision.status == "no_grasp"
-        assert [(s.check, s.n_in, s.n_out) for s in decision.funnel] == [("a", 20, 20), ("b", 20, 0), ("c", 0, 0)]
+        assert [(s.check, s.n_in, s.n_out) for s in decision.funnel[1:]] == [("a", 20, 20), ("b", 20, 0), ("c", 0, 0)]
 
 
 def test_the_next_match_is_taken_when_the_best_cannot_be_grasped(frame):

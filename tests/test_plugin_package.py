@@ -69,7 +69,7 @@ def test_every_stage_is_replaced_and_configured_from_the_command_line(site, tmp_
     assert data["plan"]["rationale"] == "it is nearest to the camera"
     assert data["plan"]["grid"] == 5
     assert data["plan"]["cell"] == 13
-    assert data["funnel"] == [{"check": "acme", "in": 7, "out": 7}]
+    assert data["funnel"][-1] == {"check": "acme", "in": 7, "out": 7}
     assert data["grasp"]["score"] == 1.0
 
 

@@ -47,8 +47,8 @@ def _rows(model: DecisionModel, decision: Decision) -> list[tuple[str, str]]:
         rows.append(("alternatives", str(len(model.alternatives))))
     if model.funnel:
         first = model.funnel[0].n_in
-        steps = " -> ".join(f"{s.check} {s.n_out}" for s in model.funnel)
-        rows.append(("candidates", f"{first} -> {steps}"))
+        steps = [f"{s.check} {s.n_out}" for s in model.funnel if s.check != "candidates"]
+        rows.append(("candidates", " -> ".join([str(first), *steps])))
     rows += [("fell back", f"{d.stage}: {d.reason}; used {d.fallback}") for d in model.degraded]
     timings = dict(decision.timings_ms)
     stages = ", ".join(f"{name} {ms:.0f}" for name, ms in timings.items() if name != "total")
