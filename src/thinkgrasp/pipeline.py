@@ -135,7 +135,7 @@ class Pipeline:
         return self.scene.perceive(frame)
 
     def _check(self, scene: Scene, target: Segment, grasps: Grasps) -> tuple[Grasps, tuple[FunnelStep, ...]]:
-        funnel: list[FunnelStep] = []
+        funnel = [FunnelStep("candidates", len(grasps), len(grasps))]
         for name, check in self.checks.items():
             keep = check.keep(scene, target, grasps, self.gripper)
             if keep.shape != (len(grasps),) or keep.dtype != np.bool_:

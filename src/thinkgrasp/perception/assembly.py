@@ -15,7 +15,6 @@ from thinkgrasp.perception.shape import Circle, circle_from_normals
 from thinkgrasp.perception.support import Support
 from thinkgrasp.types import Array, Mask
 
-
 MIN_AREA_M2 = 1.2e-4
 
 

@@ -89,7 +89,8 @@ def color_memberships(lab: Array) -> Array:
     L, a, b = lab[:, 0], lab[:, 1], lab[:, 2]
     chroma = np.hypot(a, b)
     hue = np.degrees(np.arctan2(b, a)) % 360
-    hue = np.where((hue > 30) & (hue < 50), hue + 6.0 * (2 * _ramp(L, 45.0, 62.0) - 1), hue)  # light reds read orange
+    lighter = np.where((hue > 22) & (hue < 50), 14.0 * (2 * _ramp(L, 45.0, 65.0) - 1), 0.0)
+    hue = hue + lighter  # no display red is lighter than L = 53: a lighter one is coral, which people call orange
     out = np.zeros((len(lab), len(COLOR_NAMES)), np.float32)
     index = {name: i for i, name in enumerate(COLOR_NAMES)}
 
@@ -105,7 +106,7 @@ def color_memberships(lab: Array) -> Array:
         moved = out[:, index[name]] * dull * share
         out[:, index[name]] -= moved
         out[:, index["brown"]] += moved
-    pale = _ramp(L, 58.0, 70.0) * _ramp(-chroma, -55.0, -40.0) * (hue < 43)
+    pale = _ramp(L, 58.0, 70.0) * _ramp(-chroma, -55.0, -40.0) * (hue < 30)
     moved = out[:, index["red"]] * pale
     out[:, index["red"]] -= moved
     out[:, index["pink"]] += moved
@@ -128,18 +129,21 @@ def name_colors(lab: Array) -> tuple[tuple[str, float], ...]:
 def _without_shading(lab: Array) -> Array:
     """Brighten pixels that are likely the same paint turned away from the light.
 
-    Shading scales linear light, which scales (L + 16, a, b) by its cube root. Coloured and pale pixels are brightened
-    towards the lightness of the brightest of their own kind, and only those that are not much darker.
+    Shading scales linear light, which scales (L + 16, a, b) by its cube root. Pixels are brightened half-way towards
+    the brightest of their own hue, and only those that are not much darker.
     """
     out = lab.copy()
     chroma = np.hypot(lab[:, 1], lab[:, 2])
-    for kind in (chroma >= 15, chroma < 15):
-        if kind.sum() < 10:
+    hue = np.degrees(np.arctan2(lab[:, 2], lab[:, 1])) % 360
+    paint = np.where(chroma < 15, -1, (hue // 30).astype(int))
+    for kind in np.unique(paint):
+        own = paint == kind
+        if own.sum() < 10:
             continue
-        L = lab[kind, 0]
+        L = lab[own, 0]
         bright = float(np.percentile(L, 85))
-        factor = ((bright + 16) / (L + 16)) ** 0.7
-        factor = np.where((L > 0.5 * bright) & (L < bright), np.minimum(factor, 1.35), 1.0)
-        out[kind, 0] = (L + 16) * factor - 16
-        out[kind, 1:] *= factor[:, None]
+        factor = np.sqrt((bright + 16) / np.maximum(L + 16, 1))
+        factor = np.where((0.5 * bright < L) & (bright > L), factor, 1.0)
+        out[own, 0] = (L + 16) * factor - 16
+        out[own, 1:] *= factor[:, None]
     return out

@@ -7,6 +7,7 @@ import numpy as np
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.geometry import deproject, organised_normals
 from thinkgrasp.perception.assembly import assemble
+from thinkgrasp.perception.blind import find_blind
 from thinkgrasp.perception.color import balance_white, lab_from_rgb
 from thinkgrasp.perception.edges import Labels, find_edges
 from thinkgrasp.perception.foreground import find_foreground
@@ -45,7 +46,8 @@ class GeometricPerception:
         points = deproject(frame.depth, camera)
         scale = max(1, round(camera.width / self.work_width_px))
         work_points = np.ascontiguousarray(points[::scale, ::scale])
-        work_normals = organised_normals(work_points, _scaled(camera, scale, work_points.shape[:2]))
+        work_camera = _scaled(camera, scale, work_points.shape[:2])
+        work_normals = organised_normals(work_points, work_camera)
         normals = _enlarged(work_normals, scale, points.shape[:2])
         up = None if frame.T_world_camera is None else frame.T_world_camera[2, :3]
         support = find_support(work_points, work_normals, up, np.random.default_rng(self.seed))
@@ -61,13 +63,14 @@ class GeometricPerception:
             groups = merge_patches(len(patches.count), patch_adjacency(labels, work_points, work_normals, patches))
             labels = np.where(labels > 0, np.r_[-1, groups][labels] + 1, 0).astype(np.int32)
             labels = assemble(labels, foreground, work_points, work_normals, lab, support)
-        proposals = make_proposals(labels, scale, work_points, work_normals, lab, support, camera)
+        labels, sized = find_blind(labels, foreground, work_points, support, work_camera)
+        proposals = make_proposals(labels, scale, sized, work_normals, lab, support, camera)
 
         marks: Labels = np.zeros(labels.shape, np.int32)
         for proposal in proposals:
             marks[proposal.mask[::scale, ::scale]] = proposal.mark
-        edges = find_edges(marks, work_points, work_normals, reach_px=3)
-        graph = obstruction_graph(marks, scale, work_points, edges, proposals, support)
+        edges = find_edges(marks, sized, work_normals, reach_px=3)
+        graph = obstruction_graph(marks, scale, sized, edges, proposals, support)
         return Scene(
             frame,
             points,

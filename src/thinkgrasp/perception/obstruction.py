@@ -108,7 +108,10 @@ def _blocking(b: int, bodies: list[_Points], proposals: tuple[Proposal, ...]) ->
     near = [
         i
         for i, other in enumerate(bodies)
-        if i != b and other.top > depth and np.linalg.norm(other.xy - middle, axis=1).min(initial=np.inf) < reach
+        if i != b
+        and len(other.height) >= 10
+        and other.top > depth
+        and np.linalg.norm(other.xy - middle, axis=1).min(initial=np.inf) < reach
     ]
     if not near:
         return []

@@ -99,7 +99,7 @@ def _solid(mask: Mask, seen: Mask, slanted: Mask) -> Mask:
 
 
 def _without_strays(local: Float) -> np.ndarray:
-    """Points (N,) bool that form the thing: above the surface, and in a patch of the footprint that holds a tenth of them."""
+    """Points (N,) bool that form the thing: above the surface, in footprint patches of a tenth of them or more."""
     above = local[:, 2] > SURFACE_M
     if above.sum() < max(20, 0.5 * len(above)):
         above = np.ones(len(local), bool)

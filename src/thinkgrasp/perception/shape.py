@@ -46,12 +46,12 @@ def describe_shape(surface: Surface, toward_camera: Float) -> Shape:
     """
     p, n = surface.points, surface.normals
     low, high = np.percentile(p[:, 2], [2, 98.5])
-    bottom = 0.0 if low < 0.03 else float(low)
     upright = circle_from_normals(p[:, :2], n[:, :2])
     hull = _hull(p[:, :2])
     rectangle = _smallest_rectangle(hull)
     lying = _lying_cylinder(p, n, rectangle)
-    ball = _ball(p, n, high - bottom)
+    ball = _ball(p, n, float(high))
+    bottom = _bottom(float(low), ball or lying)
 
     round_one = upright if upright is not None and _agrees(upright, rectangle) else ball
     if round_one is not None:
@@ -179,7 +179,13 @@ def _lying_cylinder(p: Float, n: Float, seen: _Rectangle) -> Circle | None:
     return Circle(center, radius, degree) if degree > 0.2 else None
 
 
-def _ball(p: Float, n: Float, height: float) -> Circle | None:
+def _bottom(low: float, body: Circle | None) -> float:
+    """Height of the underside: the round body's own where there is one, and the support where that is near."""
+    under = low if body is None else min(low, float(body.center[-1]) - body.radius)
+    return 0.0 if under < 0.03 else under
+
+
+def _ball(p: Float, n: Float, top: float) -> Circle | None:
     known = np.linalg.norm(n, axis=1) > 0.5
     if known.sum() < 30:
         return None
@@ -187,7 +193,7 @@ def _ball(p: Float, n: Float, height: float) -> Circle | None:
     if fit is None:
         return None
     center, radius, rms = fit
-    if not 0.01 < radius < 0.15 or not 0.6 < height / (2 * radius) < 1.3:
+    if not 0.01 < radius < 0.15 or abs(top - center[2] - radius) > 0.25 * radius or center[2] < 0.6 * radius:
         return None
     spread = float(np.linalg.norm(n[known].std(axis=0)))
     degree = (1 - _ramp(rms / radius, 0.12, 0.35)) * _ramp(spread, 0.35, 0.6)
