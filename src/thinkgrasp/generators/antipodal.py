@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from thinkgrasp.errors import ConfigError
@@ -13,6 +15,7 @@ from thinkgrasp.gripper import Gripper
 from thinkgrasp.types import Grasps, Mask, Scene
 
 _MIN_PIXELS = 24
+_LOWEST_TIP_M = 0.0035
 
 
 class AntipodalGenerator:
@@ -38,7 +41,8 @@ class AntipodalGenerator:
         clearance_m: Room between each open finger and the contact where the gripper opens that far.
         min_clearance_m: Room that is always kept; what needs more than the gripper's opening is left out.
         body_margin_m: Distance between the gripper's bodies and all points nearby.
-        tip_height_m: Lowest height of fingers and palm above the support.
+        tip_height_m: Lowest height of fingers and palm above the support; for things less than 2 cm tall, down to
+            3.5 mm.
 
     Raises:
         ConfigError: A number is not positive or the clearances are not ordered.
@@ -143,7 +147,7 @@ class AntipodalGenerator:
         if len(lines) == 0:
             return Grasps.empty()
         obstacles = np.concatenate([_thinned(whole, 0.007), _surroundings(scene, mask, seen.points, upright, gripper)])
-        placed = place(lines, gripper, upright, obstacles, self.placement)
+        placed = place(lines, gripper, upright, obstacles, self._placement_for(upright, seen))
         if len(placed.line) == 0:
             return Grasps.empty()
 
@@ -159,6 +163,14 @@ class AntipodalGenerator:
             placed.widths.astype(np.float32),
             score.astype(np.float32),
         )
+
+    def _placement_for(self, upright: Upright, seen: Surface) -> PlacementSettings:
+        """Let the fingertips come nearer to the support where the object is flat."""
+        usual = self.placement.tip_height_m
+        if not np.isfinite(upright.offset_m):
+            return self.placement
+        top = float(np.quantile(upright.height(seen.points), 0.95))
+        return replace(self.placement, tip_height_m=float(np.clip(0.3 * top, min(_LOWEST_TIP_M, usual), usual)))
 
 
 def split_objects(scene: Scene, crop: Mask) -> list[Mask]:

@@ -85,8 +85,9 @@ def pair_lines(
     closed &= (inward_a * inward_a >= cone) & (inward_b * inward_b >= cone)
     row, column = np.nonzero(closed)
     i, j = seeds[row], column
-    d = np.sqrt(squared[row, column])
-    closing = (surface.points[j] - surface.points[i]) / d[:, None]
+    closing = surface.points[j] - surface.points[i]
+    d = np.linalg.norm(closing, axis=1)
+    closing = closing / d[:, None]
     level = np.abs(closing @ upright.up) < _MAX_STEEPNESS
     row, i, j, d, closing = row[level], i[level], j[level], d[level], closing[level]
     if len(i) == 0:

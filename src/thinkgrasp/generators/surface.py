@@ -20,7 +20,7 @@ from thinkgrasp.types import Mask, Scene
 Float = NDArray[np.float32]
 
 _FREE_TOLERANCE_M = 0.006
-_MAX_VIOLATION = 0.12
+_MAX_VIOLATION = 0.08
 _CURTAIN_STEP_M = 0.006
 _CURTAIN_DEPTH_M = 0.08
 _TURN_OFFSETS_M = (0.002, 0.009)
@@ -178,7 +178,7 @@ def half_turn(scene: Scene, seen: Surface, upright: Upright) -> Surface | None:
     base = (centre[0] * upright.away + centre[1] * side).astype(np.float32)
     points = 2 * (seen.points @ upright.up)[:, None] * upright.up - seen.points + 2 * base
     normals = 2 * (seen.normals @ upright.up)[:, None] * upright.up - seen.normals
-    hidden = ~(depth_gap(scene, points) > -_FREE_TOLERANCE_M)
+    hidden = ~(depth_gap(scene, points) > -_FREE_TOLERANCE_M) & (upright.height(points) > 0.002)
     return Surface(points[hidden], normals[hidden], np.zeros(int(hidden.sum()), bool), seen.wanted[hidden])
 
 
@@ -283,7 +283,7 @@ def _round_radius(near: Float, inside: Float, height: Float, rise: Float) -> Flo
     turning = (_TURN_OFFSETS_M[1] - _TURN_OFFSETS_M[0]) / np.maximum(near - inside, 1e-3)
     resting = height / np.maximum(1 + rise, 0.2)
     radius = np.minimum(turning, resting)
-    expected = 1 - 0.0035 / np.maximum(turning, 0.005) - 0.06
+    expected = 1 - 0.0035 / np.maximum(turning, 0.005) - 0.10
     return np.where((near > expected) & (radius < _MAX_ROUND_M) & (rise > 0.05), radius, 0).astype(np.float32)
 
 
