@@ -234,7 +234,7 @@ def test_same_seed_same_grasps():
 def test_works_without_support_and_normals(name):
     rendering, scene = view((GRASPABLE[name],), EYES["slant"], plane=False)
     grasps = survivors(scene, rendering.mask(0), Gripper.load("robotiq_2f85"))
-    assert len(grasps) >= 10
+    assert len(grasps) >= 5
     verify(scene, grasps, Gripper.load("robotiq_2f85"), 8)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +41,8 @@ class BlockedCloud:
         starts = np.append(np.flatnonzero(np.diff(key, prepend=-1)), len(key)).astype(np.intp)
         low = np.minimum.reduceat(points, starts[:-1])
         high = np.maximum.reduceat(points, starts[:-1])
-        return cls(points, starts, (low + high) / 2, (high - low) / 2)
+        half = np.float32(0.5)
+        return cls(points, starts, ((low + high) * half).astype(np.float32), ((high - low) * half).astype(np.float32))
 
     def hit(self, grasps: Grasps, low: NDArray[np.floating], high: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Return (N,) True where any point lies in the grasp's own box, corners low and high (N, 3) in its frame."""
@@ -60,7 +62,9 @@ class BlockedCloud:
             local.append(p[inside])
         return np.concatenate(index), np.concatenate(local)
 
-    def _pairs(self, grasps: Grasps, low: NDArray[np.floating], high: NDArray[np.floating]):
+    def _pairs(
+        self, grasps: Grasps, low: NDArray[np.floating], high: NDArray[np.floating]
+    ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.bool_]]]:
         """Yield chunks of (grasp index, local coordinates, inside) over all points in blocks that touch the boxes."""
         if len(grasps) == 0 or len(self.halves) == 0:
             return

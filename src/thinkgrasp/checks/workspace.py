@@ -33,14 +33,14 @@ class TargetCheck:
 
     def keep(self, scene: Scene, target: Segment, grasps: Grasps, gripper: Gripper) -> NDArray[np.bool_]:
         """Return (N,) True where the TCP projects into the target's box and near its mask, at its depth."""
-        keep = grasps.positions[:, 2] > 1e-3
+        keep = np.asarray(grasps.positions[:, 2] > 1e-3)
         index = np.flatnonzero(keep)
         if len(index) == 0:
             return keep
         position = grasps.positions[index].astype(np.float64)
         pixel = scene.frame.camera.project(position)
         x0, y0, x1, y1 = target.box_xyxy
-        ok = (pixel >= [x0, y0]).all(axis=1) & (pixel <= [x1 - 1, y1 - 1]).all(axis=1)
+        ok = np.asarray((pixel >= [x0, y0]).all(axis=1) & (pixel <= [x1 - 1, y1 - 1]).all(axis=1))
 
         away = ndimage.distance_transform_edt(~target.mask[y0:y1, x0:x1])
         near = np.rint(pixel[ok] - [x0, y0]).astype(np.intp)
@@ -110,7 +110,7 @@ class WorkspaceCheck:
         camera = scene.frame.camera
         index = np.flatnonzero(keep)
         pixel = np.rint(camera.project(position[index])).astype(np.intp)
-        inside = ((pixel >= 0) & (pixel < [camera.width, camera.height])).all(axis=1)
+        inside = np.asarray(((pixel >= 0) & (pixel < [camera.width, camera.height])).all(axis=1))
         if scene.frame.workspace is not None:
             inside[inside] = scene.frame.workspace[pixel[inside, 1], pixel[inside, 0]]
         keep[index] = inside

@@ -110,7 +110,7 @@ def pair_lines(
         rest = best[n_lines // 3 :]
         best = np.concatenate([top, np.sort(rng.permutation(len(rest))[: n_lines - len(top)])], dtype=np.intp)
         best[len(top) :] = rest[best[len(top) :]]
-    return ContactLines(middle[best], closing[best], d[best].astype(np.float32), score[best].astype(np.float32))
+    return ContactLines(*(a[best].astype(np.float32) for a in (middle, closing, d, score)))
 
 
 def rim_lines(scene: Scene, seen: Surface, upright: Upright, n_points: int, rng: np.random.Generator) -> ContactLines:
@@ -139,7 +139,7 @@ def rim_lines(scene: Scene, seen: Surface, upright: Upright, n_points: int, rng:
     for reach, drop in _RIM_PROBES_M:
         low = p[:, None] - np.float32(drop) * upright.up
         probes = np.stack([low + np.float32(s * reach) * directions for s in (1, -1)])
-        free = depth_gap(scene, probes.reshape(-1, 3)).reshape(2, len(p), -1) > 0.003
+        free = depth_gap(scene, probes.reshape(-1, 3).astype(np.float32)).reshape(2, len(p), -1) > 0.003
         both |= free.all(axis=0)
     on_rim = both.any(axis=1)
     if not on_rim.any():
@@ -150,7 +150,7 @@ def rim_lines(scene: Scene, seen: Surface, upright: Upright, n_points: int, rng:
     across = (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * upright.away).astype(np.float32)
     along = np.cross(upright.up, across)
     ends = np.stack([p + np.float32(s * 0.007) * along - np.float32(0.004) * upright.up for s in (1, -1)])
-    goes_on = ~(depth_gap(scene, ends.reshape(-1, 3)).reshape(2, -1) > 0.003).any(axis=0)
+    goes_on = ~(depth_gap(scene, ends.reshape(-1, 3).astype(np.float32)).reshape(2, -1) > 0.003).any(axis=0)
     if not goes_on.any():
         return ContactLines.empty()
     p, across = p[goes_on], across[goes_on]
@@ -164,7 +164,7 @@ def rim_lines(scene: Scene, seen: Surface, upright: Upright, n_points: int, rng:
         chosen = np.ones(len(p), bool) if share == 1.0 else np.abs(tilt) * (1 - share) > 0.15
         parts.append(
             ContactLines(
-                (p - np.float32(0.003) * upright.up)[chosen],
+                (p - np.float32(0.003) * upright.up)[chosen].astype(np.float32),
                 closing[chosen].astype(np.float32),
                 np.full(int(chosen.sum()), _WALL_M, np.float32),
                 score[chosen].astype(np.float32),

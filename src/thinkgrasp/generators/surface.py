@@ -210,8 +210,8 @@ def contour_curtain(
     m = mask[window]
     z = scene.points[window][..., 2]
     smooth = ndimage.gaussian_filter(m.astype(np.float32), 2.0, mode="nearest")
-    inner = m & ~ndimage.binary_erosion(m, iterations=2, border_value=1) & np.isfinite(z)
-    inner &= ndimage.binary_erosion(m, border_value=1)
+    once, twice = (ndimage.binary_erosion(m, iterations=k, border_value=1).astype(bool) for k in (1, 2))
+    inner = once & ~twice & np.isfinite(z)
     v, u = np.nonzero(inner)
     if len(v) == 0:
         return empty
