@@ -72,7 +72,11 @@ def _join(labels: Labels, points: Array, normals: Array, lab: Array, support: Su
     n = int(labels.max())
     if n < 2:
         return labels
-    contact, front = tabulate(find_edges(labels, points, normals, reach_px=3), n)
+    edges = find_edges(labels, points, normals, reach_px=3, blind_reach_px=15)
+    contact, front = tabulate(edges, n)
+    blind = np.zeros((n, n), np.int64)
+    np.add.at(blind, (edges.a[edges.blind], edges.b[edges.blind]), 1)
+    blind += blind.T
     bodies = [_body(labels == i + 1, points, normals, lab, support) for i in range(n)]
     group = np.arange(n)
     for i in np.argsort([b.pixels for b in bodies], kind="stable"):
@@ -80,8 +84,10 @@ def _join(labels: Labels, points: Array, normals: Array, lab: Array, support: Su
         for j in np.argsort(-meets, kind="stable"):
             if meets[j] < 4 or group[i] == group[j]:
                 continue
-            border = _Border(int(meets.sum()), int(contact[i, j]), int(front[i, j]), int(front[j, i]))
-            if any(rule(bodies[i], bodies[j], border) for rule in (_is_interior, _is_flank, _is_attached)):
+            border = _Border(int(meets.sum()), int(contact[i, j]), int(front[i, j]), int(front[j, i]), int(blind[i, j]))
+            if any(
+                rule(bodies[i], bodies[j], border) for rule in (_is_interior, _is_flank, _is_attached, _is_continued)
+            ):
                 group[group == group[i]] = group[j]
                 break
     new = np.unique(group, return_inverse=True)[1].astype(np.int32) + 1
@@ -97,6 +103,8 @@ class _Border:
     contact: int
     in_front: int
     behind: int
+    blind: int
+    """Across pixels without depth."""
 
 
 def _body(mask: Mask, points: Array, normals: Array, lab: Array, support: Support) -> _Body:
@@ -128,7 +136,8 @@ def _is_interior(inner: _Body, outer: _Body, border: _Border) -> bool:
     Two things cannot stand in one place: what lies within the circle that the outer wall describes, does not rise above
     its rim and does not bulge is the inner wall or the bottom. What bulges is a thing that lies in it.
     """
-    if border.contact + border.behind < 0.3 * border.total or inner.bulge > 0.55:
+    shared = border.contact + border.behind
+    if shared < (0.1 if inner.bulge < 0 else 0.3) * border.total or inner.bulge > 0.55:
         return False
     circle = outer.circle
     if circle is None or inner.top > outer.top + 0.02 or inner.bottom < outer.bottom - 0.01:
@@ -141,7 +150,7 @@ def _is_flank(flank: _Body, body: _Body, border: _Border) -> bool:
     """Whether `flank` is a side of `body` that is seen at such a slant that its depth cannot be trusted."""
     if flank.facing > 0.35 or border.behind + border.contact < 0.3 * border.total:
         return False
-    return float(np.minimum(flank.colors, body.colors).sum()) > 0.65
+    return _shared_colors(flank, body) > 0.65
 
 
 def _is_attached(part: _Body, body: _Body, border: _Border) -> bool:
@@ -153,6 +162,17 @@ def _is_attached(part: _Body, body: _Body, border: _Border) -> bool:
     floats = part.bottom > 0.012 and part.bottom > body.bottom + 0.006
     alike = float(np.linalg.norm((part.lab - body.lab) * [0.4, 1, 1])) < 12
     return part.pixels < 0.35 * body.pixels and floats and alike
+
+
+def _is_continued(part: _Body, body: _Body, border: _Border) -> bool:
+    """Whether the two are one surface of one paint that missing depth has cut in two."""
+    if border.blind < max(8, 0.5 * (border.contact + border.in_front + border.behind)):
+        return False
+    return border.contact > 2 * (border.in_front + border.behind) and _shared_colors(part, body) > 0.8
+
+
+def _shared_colors(a: _Body, b: _Body) -> float:
+    return float(np.minimum(a.colors, b.colors).sum())
 
 
 def _drop_artefacts(labels: Labels, foreground: Foreground, points: Array, normals: Array) -> Labels:

@@ -28,9 +28,11 @@ class Edges:
     b: NDArray[np.intp]
     step: NDArray[np.int8]
     """+1: a lies in front of b by a step, -1: b in front of a, 0: no step."""
+    blind: NDArray[np.bool_]
+    """Whether pixels without depth lie between."""
 
 
-def find_edges(labels: Labels, points: Array, normals: Array, reach_px: int = 0) -> Edges:
+def find_edges(labels: Labels, points: Array, normals: Array, reach_px: int = 0, blind_reach_px: int = 0) -> Edges:
     """Compare depth across every border between two labels.
 
     A step is where neither side's tangent plane predicts the other side's depth.
@@ -39,30 +41,37 @@ def find_edges(labels: Labels, points: Array, normals: Array, reach_px: int = 0)
         labels: (H, W).
         points: (H, W, 3) [m].
         normals: (H, W, 3) unit; NaN where unknown.
-        reach_px: Labels that are at most this far apart, with unlabelled pixels between, meet too.
+        reach_px: Labels that are at most twice this far apart, with unlabelled pixels between, meet too.
+        blind_reach_px: The same where the pixels between have no depth.
     """
     index = np.arange(labels.size).reshape(labels.shape)
     if reach_px:
         distance, nearest = ndimage.distance_transform_edt(labels == 0, return_indices=True)
-        index = np.where(distance <= reach_px, nearest[0] * labels.shape[1] + nearest[1], index)
+        near = distance <= np.where(np.isfinite(points[..., 2]), reach_px, max(reach_px, blind_reach_px))
+        index = np.where(near, nearest[0] * labels.shape[1] + nearest[1], index)
     flat_points, flat_normals = points.reshape(-1, 3), normals.reshape(-1, 3)
     filled = labels.flat[index]
-    found: list[tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.int8]]] = []
+    has_depth = np.isfinite(flat_points[:, 2])
+    found: list[tuple[np.ndarray, ...]] = []
+    own = np.arange(labels.size).reshape(labels.shape)
     for axis in (0, 1):
         image = filled if axis == 1 else filled.T
         where = index if axis == 1 else index.T
         row, col = np.nonzero((image[:, 1:] != image[:, :-1]) & (image[:, 1:] > 0) & (image[:, :-1] > 0))
         la, lb = image[row, col], image[row, col + 1]
         ca, cb = col.copy(), col + 1
+        here = own if axis == 1 else own.T
+        blind = ~has_depth[here[row, ca]] | ~has_depth[here[row, cb]]
         for _ in range(INSET_PX):
             back = np.maximum(ca - 1, 0)
             ca = np.where(image[row, back] == la, back, ca)
             on = np.minimum(cb + 1, image.shape[1] - 1)
             cb = np.where(image[row, on] == lb, on, cb)
         ia, ib = where[row, ca], where[row, cb]
-        found.append((la - 1, lb - 1, _step(flat_points[ia], flat_normals[ia], flat_points[ib], flat_normals[ib])))
-    a, b, step = (np.concatenate(column) for column in zip(*found, strict=True))
-    return Edges(a.astype(np.intp), b.astype(np.intp), step)
+        step = _step(flat_points[ia], flat_normals[ia], flat_points[ib], flat_normals[ib])
+        found.append((la - 1, lb - 1, step, blind))
+    a, b, step, blind = (np.concatenate(column) for column in zip(*found, strict=True))
+    return Edges(a.astype(np.intp), b.astype(np.intp), step, blind)
 
 
 def _step(pa: Array, na: Array, pb: Array, nb: Array) -> NDArray[np.int8]:
