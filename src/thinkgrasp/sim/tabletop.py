@@ -229,9 +229,10 @@ def _shadowed(scene: TabletopScene, points: Float, light: Float, ask: NDArray[np
     across = np.stack([x, np.cross(light, x)], axis=1)
     flat = points @ across
     for _, solid, T_world_solid in _parts(scene):
-        shadow = (_corners(solid) @ T_world_solid[:3, :3].T + T_world_solid[:3, 3]) @ across
+        corners = _corners(solid) @ T_world_solid[:3, :3].T + T_world_solid[:3, 3]
+        shadow = corners @ across
         low, high = shadow.min(axis=0), shadow.max(axis=0)
-        near = ask & ~dark
+        near = ask & ~dark & (points[:, 2] < corners[:, 2].max())  # every light is above
         near &= (flat[:, 0] >= low[0]) & (flat[:, 0] <= high[0]) & (flat[:, 1] >= low[1]) & (flat[:, 1] <= high[1])
         index = np.flatnonzero(near)
         if len(index) == 0:
