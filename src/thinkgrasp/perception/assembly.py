@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from thinkgrasp.perception.color import color_memberships
-from thinkgrasp.perception.edges import Labels, find_edges, tabulate
+from thinkgrasp.perception.edges import find_edges, tabulate
 from thinkgrasp.perception.foreground import Foreground
+from thinkgrasp.perception.morphology import Labels, nearest_area
 from thinkgrasp.perception.shape import Circle, circle_from_normals
 from thinkgrasp.perception.support import Support
 from thinkgrasp.types import Array, Mask
@@ -113,7 +114,7 @@ def _body(mask: Mask, points: Array, normals: Array, lab: Array, support: Suppor
     index = index[:: max(1, pixels // 400)]
     p = points.reshape(-1, 3)[index].astype(np.float64)
     n = np.nan_to_num(normals.reshape(-1, 3)[index].astype(np.float64))
-    xy, normal_xy = support.footprint(p), support.footprint(n)
+    xy, normal_xy = support.footprint(p).astype(np.float64), support.footprint(n).astype(np.float64)
     out = xy - (xy.min(axis=0) + xy.max(axis=0)) / 2
     out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-6)
     facing = -(n * p).sum(1) / np.linalg.norm(p, axis=1)
@@ -121,7 +122,7 @@ def _body(mask: Mask, points: Array, normals: Array, lab: Array, support: Suppor
     return _Body(
         pixels,
         xy,
-        support.plane.height(p),
+        support.plane.height(p).astype(np.float64),
         np.median(lab.reshape(-1, 3)[index], axis=0).astype(np.float64),
         color_memberships(lab.reshape(-1, 3)[index]).mean(axis=0).astype(np.float64),
         float(np.median(facing)),
@@ -215,7 +216,7 @@ def _claim_missing(labels: Labels, foreground: Foreground, lab: Array, reach_px:
     differs = (labels == 0) & np.where(
         blind, foreground.contrast > usual + 6, foreground.region & (foreground.contrast > usual + 12)
     )
-    distance, nearest = ndimage.distance_transform_edt(labels == 0, return_indices=True)
+    distance, nearest = nearest_area(labels)
     owner = labels[nearest[0], nearest[1]]
     differs &= np.linalg.norm(lab - lab[nearest[0], nearest[1]], axis=2) < 30
     linked = ndimage.binary_propagation(labels > 0, mask=differs | (labels > 0)) & differs

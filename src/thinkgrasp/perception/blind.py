@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from thinkgrasp.geometry import Float
-from thinkgrasp.perception.edges import Labels
 from thinkgrasp.perception.foreground import Foreground
+from thinkgrasp.perception.morphology import Labels, connected_areas
 from thinkgrasp.perception.support import Support
 from thinkgrasp.types import Array, CameraIntrinsics
 
@@ -42,8 +42,8 @@ def find_blind(
     candidate = blank & (foreground.contrast > foreground.usual_contrast + CONTRAST)
     candidate = ndimage.binary_closing(candidate, iterations=2) & blank
     candidate = ndimage.binary_opening(candidate, iterations=MIN_WIDTH_PX // 2)
-    candidate &= ~ndimage.binary_dilation(labels > 0, iterations=4)
-    blobs, _ = ndimage.label(candidate)
+    candidate &= ~ndimage.binary_dilation(labels > 0, iterations=4).astype(bool)
+    blobs, _ = connected_areas(candidate)
     out, filled = labels.copy(), points
     known = int(labels.max())
     for i, box in enumerate(ndimage.find_objects(blobs), start=1):

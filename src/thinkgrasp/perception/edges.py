@@ -6,12 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from thinkgrasp.perception.morphology import Labels, nearest_area
 from thinkgrasp.types import Array
-
-Labels = NDArray[np.int32]
-"""(H, W) 1..n, 0 = none."""
 
 INSET_PX = 3
 """Depth is compared this far inside both areas: sensors smear a step over a few pixels."""
@@ -46,13 +43,13 @@ def find_edges(labels: Labels, points: Array, normals: Array, reach_px: int = 0,
     """
     index = np.arange(labels.size).reshape(labels.shape)
     if reach_px:
-        distance, nearest = ndimage.distance_transform_edt(labels == 0, return_indices=True)
+        distance, nearest = nearest_area(labels)
         near = distance <= np.where(np.isfinite(points[..., 2]), reach_px, max(reach_px, blind_reach_px))
         index = np.where(near, nearest[0] * labels.shape[1] + nearest[1], index)
     flat_points, flat_normals = points.reshape(-1, 3), normals.reshape(-1, 3)
     filled = labels.flat[index]
     has_depth = np.isfinite(flat_points[:, 2])
-    found: list[tuple[np.ndarray, ...]] = []
+    found: list[tuple[NDArray[np.integer | np.bool_], ...]] = []
     own = np.arange(labels.size).reshape(labels.shape)
     for axis in (0, 1):
         image = filled if axis == 1 else filled.T
@@ -71,7 +68,7 @@ def find_edges(labels: Labels, points: Array, normals: Array, reach_px: int = 0,
         step = _step(flat_points[ia], flat_normals[ia], flat_points[ib], flat_normals[ib])
         found.append((la - 1, lb - 1, step, blind))
     a, b, step, blind = (np.concatenate(column) for column in zip(*found, strict=True))
-    return Edges(a.astype(np.intp), b.astype(np.intp), step, blind)
+    return Edges(a.astype(np.intp), b.astype(np.intp), step.astype(np.int8), blind.astype(bool))
 
 
 def _step(pa: Array, na: Array, pb: Array, nb: Array) -> NDArray[np.int8]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from thinkgrasp.perception.morphology import connected_areas
 from thinkgrasp.perception.support import Support
 from thinkgrasp.types import Array, Mask
 
@@ -28,7 +29,7 @@ class Foreground:
     contrast: Array
     """(H, W) colour difference [Delta E] to the support's colour around the pixel."""
     usual_contrast: float
-    """What 95 % of the surface's own pixels stay below."""
+    """What nearly all of the surface's own pixels stay below: twice their upper quartile."""
 
 
 def find_foreground(points: Array, lab: Array, support: Support, workspace: Mask | None) -> Foreground:
@@ -49,16 +50,16 @@ def find_foreground(points: Array, lab: Array, support: Support, workspace: Mask
         candidates = np.flatnonzero(region)
         outside = support.distance_outside(points.reshape(-1, 3)[candidates])
         region.flat[candidates] = outside < OUTSIDE_MARGIN_M
-        if workspace is not None:
-            region &= workspace
         noise = 1.4826 * support.plane.residual_m
         surface = region & (np.abs(height) < 0.006 + 2 * noise)
         contrast = _contrast(lab, surface)
-        usual = float(np.percentile(contrast[surface], 95)) if surface.any() else 0.0
+        usual = max(5.0, 2 * float(np.percentile(contrast[surface], 75))) if surface.any() else 5.0
+        if workspace is not None:
+            region &= workspace
         clear, slight = max(0.007, 4.5 * noise), max(0.004, 2.5 * noise)
         mask = region & ((height > clear) | ((height > slight) & (contrast > usual + 6)))
-    mask = ndimage.binary_opening(mask, iterations=1)
-    labels, n = ndimage.label(mask)
+    mask = ndimage.binary_opening(mask, iterations=1).astype(bool)
+    labels, n = connected_areas(mask)
     if n:
         mask = (np.bincount(labels.ravel()) >= MIN_PIXELS)[labels] & mask
     return Foreground(mask, region, height, contrast, usual)

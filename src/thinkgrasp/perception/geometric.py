@@ -9,9 +9,10 @@ from thinkgrasp.geometry import deproject, organised_normals
 from thinkgrasp.perception.assembly import assemble
 from thinkgrasp.perception.blind import find_blind
 from thinkgrasp.perception.color import balance_white, lab_from_rgb
-from thinkgrasp.perception.edges import Labels, find_edges
+from thinkgrasp.perception.edges import find_edges
 from thinkgrasp.perception.foreground import find_foreground
 from thinkgrasp.perception.grouping import merge_patches, patch_adjacency, patch_statistics
+from thinkgrasp.perception.morphology import Labels
 from thinkgrasp.perception.obstruction import obstruction_graph
 from thinkgrasp.perception.proposals import make_proposals
 from thinkgrasp.perception.superpixels import superpixels

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thinkgrasp.perception.edges import Labels, find_edges
+from thinkgrasp.perception.edges import find_edges
+from thinkgrasp.perception.morphology import Labels
 from thinkgrasp.types import Array
 
 MERGE_BELOW = 0.5

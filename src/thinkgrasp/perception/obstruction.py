@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from thinkgrasp.geometry import Float
-from thinkgrasp.perception.edges import Edges, Labels, tabulate
+from thinkgrasp.perception.edges import Edges, tabulate
+from thinkgrasp.perception.morphology import Labels
 from thinkgrasp.perception.support import Support
-from thinkgrasp.types import Array, Obstruction, Proposal
+from thinkgrasp.types import Array, Mask, Obstruction, Proposal
 
 MIN_HIDING_PX = 12
 RESTING_GAP_M = 0.02
@@ -76,10 +77,10 @@ def obstruction_graph(
     return tuple(found)
 
 
-def _points(mask: np.ndarray, points: Array, support: Support, limit: int = 250) -> _Points:
+def _points(mask: Mask, points: Array, support: Support, limit: int = 250) -> _Points:
     index = np.flatnonzero(mask & np.isfinite(points[..., 2]))
     p = points.reshape(-1, 3)[index[:: max(1, len(index) // limit)]].astype(np.float64)
-    return _Points(support.footprint(p), support.plane.height(p))
+    return _Points(support.footprint(p).astype(np.float64), support.plane.height(p).astype(np.float64))
 
 
 def _resting_gap(a: _Points, b: _Points) -> float | None:
@@ -90,7 +91,7 @@ def _resting_gap(a: _Points, b: _Points) -> float | None:
     bottom = float(np.percentile(a.height, 4))
     if bottom < 0.012:
         return None
-    distance, nearest = cKDTree(b.xy).query(a.xy[low])
+    distance, nearest = (np.asarray(column) for column in KDTree(b.xy).query(a.xy[low]))
     over = distance < 0.012
     if over.mean() < 0.3:
         return None

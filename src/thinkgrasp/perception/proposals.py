@@ -7,8 +7,8 @@ from scipy import ndimage
 
 from thinkgrasp.geometry import Float, make_transform
 from thinkgrasp.perception.color import name_colors
-from thinkgrasp.perception.edges import Labels
 from thinkgrasp.perception.foreground import flying_pixels
+from thinkgrasp.perception.morphology import Labels, connected_areas
 from thinkgrasp.perception.shape import Shape, Surface, describe_shape
 from thinkgrasp.perception.support import Support
 from thinkgrasp.types import Array, CameraIntrinsics, Mask, Proposal
@@ -67,7 +67,7 @@ def make_proposals(
         v, u = np.nonzero(mask)
         x0, y0, x1, y1 = int(u.min()), int(v.min()), int(u.max()) + 1, int(v.max()) + 1
         border = x0 < BORDER_PX or y0 < BORDER_PX or x1 > size[1] - BORDER_PX or y1 > size[0] - BORDER_PX
-        core = ndimage.binary_erosion(small, iterations=2)
+        core = ndimage.binary_erosion(small, iterations=2).astype(bool)
         inner = core if core.sum() > 60 else small
         found.append(
             Proposal(
@@ -92,13 +92,13 @@ def _solid(mask: Mask, seen: Mask, slanted: Mask) -> Mask:
     if trusted.sum() < 0.4 * seen.sum():
         trusted = seen
     for iterations in (3, 2, 1):
-        core = trusted & ndimage.binary_erosion(mask, iterations=iterations)
+        core = trusted & ndimage.binary_erosion(mask, iterations=iterations).astype(bool)
         if core.sum() > 0.55 * trusted.sum():
             return core
     return trusted
 
 
-def _without_strays(local: Float) -> np.ndarray:
+def _without_strays(local: Float) -> Mask:
     """Points (N,) bool that form the thing: above the surface, in footprint patches of a tenth of them or more."""
     above = local[:, 2] > SURFACE_M
     if above.sum() < max(20, 0.5 * len(above)):
@@ -108,7 +108,7 @@ def _without_strays(local: Float) -> np.ndarray:
     count = np.zeros(cell[inside].max(axis=0) + 2, int)
     np.add.at(count, (cell[inside, 0], cell[inside, 1]), 1)
     dense = count >= max(1, 0.2 * float(np.median(count[count > 0])))
-    patches, n = ndimage.label(dense, structure=np.ones((3, 3)))
+    patches, n = connected_areas(dense, diagonal=True)
     weight = ndimage.sum_labels(count, patches, np.arange(n + 1))
     weight[0] = 0
     kept = inside.copy()

@@ -127,7 +127,7 @@ def _fit_center(p: Float, n: Float) -> tuple[Float, float, float] | None:
         solution = np.linalg.lstsq(A.reshape(-1, d + 1), p[keep].reshape(-1), rcond=None)[0]
         residual = np.linalg.norm(p - solution[:d] - solution[d] * n, axis=1)
         keep = residual < max(2.0 * float(np.median(residual)), 1e-4)
-    return solution[:d], float(solution[d]), float(np.sqrt((residual[keep] ** 2).mean()))
+    return solution[:d].astype(np.float64), float(solution[d]), float(np.sqrt((residual[keep] ** 2).mean()))
 
 
 def _arc(n: Float, sector: int = 16) -> float:

@@ -10,6 +10,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
 from thinkgrasp.geometry import Float, fit_plane, rotation_aligning
+from thinkgrasp.perception.morphology import connected_areas
 from thinkgrasp.types import Array, Mask, SupportPlane
 
 N_SAMPLES = 3000
@@ -73,7 +74,7 @@ def find_support(points: Array, normals: Array, up: Float | None, rng: np.random
     n = normals.reshape(-1, 3)[sample].astype(np.float64)
     v, u = np.divmod(sample, width)
     central = np.exp(-(((u - width / 2) / (0.6 * width)) ** 2) - ((v - height / 2) / (0.6 * height)) ** 2)
-    tol = tolerance(p[:, 2])
+    tol = tolerance(p[:, 2]).astype(np.float64)
 
     best: tuple[float, Float, float] | None = None
     free = np.ones(len(p), bool)
@@ -156,7 +157,7 @@ def _outline(xy: Float) -> Float | None:
         return None
     grid = np.zeros(size + 8, bool)
     grid[cell[:, 0] + 4, cell[:, 1] + 4] = True
-    labels, _ = ndimage.label(ndimage.binary_dilation(grid, iterations=4))
+    labels, _ = connected_areas(ndimage.binary_dilation(grid, iterations=4).astype(bool))
     own = labels[cell[:, 0] + 4, cell[:, 1] + 4]
     xy = xy[own == np.bincount(own).argmax()]
     try:

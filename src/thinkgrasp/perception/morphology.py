@@ -1,0 +1,31 @@
+"""Connected areas and nearest areas of images, with the types that scipy leaves open."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from thinkgrasp.types import Mask
+
+Labels = NDArray[np.int32]
+"""(H, W) 1..n, 0 = none."""
+
+
+def connected_areas(mask: Mask, *, diagonal: bool = False) -> tuple[Labels, int]:
+    """Label the connected areas of a mask (H, W), 1..n, and return the labels with n.
+
+    Args:
+        mask: (H, W).
+        diagonal: Whether pixels that share only a corner are connected.
+    """
+    structure = np.ones((3, 3), bool) if diagonal else None
+    return cast("tuple[Labels, int]", ndimage.label(mask, structure=structure))
+
+
+def nearest_area(labels: Labels) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return how far every pixel is from the nearest labelled one (H, W) [px], and which one that is (2, H, W)."""
+    found = ndimage.distance_transform_edt(labels == 0, return_indices=True)
+    return cast("tuple[NDArray[np.float64], NDArray[np.int32]]", found)
