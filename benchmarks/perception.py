@@ -8,12 +8,14 @@ IoU >= 0.5. A proposal that overlaps no thing with IoU >= 0.3 is stray. Percepti
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import tyro
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from thinkgrasp.perception import GeometricPerception
@@ -105,14 +107,16 @@ def random_object(rng: np.random.Generator, x: float, y: float, z: float = 0.0) 
     return replace(body, name=f"{color} bottle", T_world_object=T @ down), 0.09
 
 
-def random_scene(kind: Kind, rng: np.random.Generator) -> t.TabletopScene:
+def random_scene(
+    kind: Kind, rng: np.random.Generator, make: Callable[..., tuple[t.TableObject, float]] = random_object
+) -> t.TabletopScene:
     """Place things next to one another until the number is reached or no room is left."""
     placed: list[tuple[float, float, float]] = []
     objects: list[t.TableObject] = []
     wanted = int(rng.integers(kind.objects[0], kind.objects[1] + 1))
     for _ in range(400):
         x, y = rng.uniform(-kind.spread_m, kind.spread_m, 2) * [1.0, 0.8]
-        thing, radius = random_object(rng, x, y)
+        thing, radius = make(rng, x, y)
         if all(np.hypot(x - a, y - b) > radius + r + kind.gap_m for a, b, r in placed):
             placed.append((x, y, radius))
             objects.append(thing)
@@ -127,7 +131,7 @@ def random_scene(kind: Kind, rng: np.random.Generator) -> t.TabletopScene:
     return t.TabletopScene(tuple(objects), table_size_m=kind.table_m, table_color=table, background=background)
 
 
-def random_view(kind: Kind, rng: np.random.Generator) -> tuple[CameraIntrinsics, np.ndarray]:
+def random_view(kind: Kind, rng: np.random.Generator) -> tuple[CameraIntrinsics, NDArray[np.float64]]:
     """Return intrinsics and T_world_camera of a camera that looks at the middle of the table."""
     w, h = kind.size
     f = 0.95 * w * (0.75 if w > 640 else 1.0)
@@ -137,7 +141,7 @@ def random_view(kind: Kind, rng: np.random.Generator) -> tuple[CameraIntrinsics,
     return CameraIntrinsics(w, h, f, f, (w - 1) / 2, (h - 1) / 2), t.look_at(eye, (0.0, 0.0, 0.03))
 
 
-def overlaps(scene: Scene, rendering: t.Rendering) -> np.ndarray:
+def overlaps(scene: Scene, rendering: t.Rendering) -> NDArray[np.float64]:
     """Return IoU (objects, proposals)."""
     masks = [p.mask for p in scene.proposals]
     out = np.zeros((len(rendering.visible_fraction), len(masks)))
@@ -179,12 +183,12 @@ def main(scenes: int = 12, show: Annotated[Path | None, tyro.conf.arg(metavar="D
             normal = T[:3, 2]
             if scene.support is not None:
                 normal = T[:3, :3] @ scene.support.normal
-                support += bool(normal[2] > 0.995 and abs(scene.support.height(np.array(T[:3, :3].T @ -T[:3, 3]))) < 0.01)
+                support += bool(
+                    normal[2] > 0.995 and abs(scene.support.height(np.array(T[:3, :3].T @ -T[:3, 3]))) < 0.01
+                )
             iou = overlaps(scene, rendering)
             counted = [
-                i
-                for i, f in enumerate(rendering.visible_fraction)
-                if f >= 0.25 and rendering.mask(i).sum() >= 150
+                i for i, f in enumerate(rendering.visible_fraction) if f >= 0.25 and rendering.mask(i).sum() >= 150
             ]
             best = iou[counted].max(axis=1, initial=0.0)
             total += len(counted)
@@ -194,7 +198,8 @@ def main(scenes: int = 12, show: Annotated[Path | None, tyro.conf.arg(metavar="D
             if show:
                 show.mkdir(parents=True, exist_ok=True)
                 picture(scene, rendering).save(show / f"{name}-{seed}.png")
-        print(f"{name:15s} {total:6d}  {found / total:5.2f}  {np.mean(ious):4.2f}  {stray / scenes:11.1f}  {support}/{scenes}")
+        quality = f"{found / total:5.2f}  {np.mean(ious):4.2f}  {stray / scenes:11.1f}"
+        print(f"{name:15s} {total:6d}  {quality}  {support}/{scenes}")
 
 
 if __name__ == "__main__":

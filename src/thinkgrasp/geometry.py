@@ -111,7 +111,7 @@ def rotation_aligning(a: NDArray[np.floating], b: NDArray[np.floating]) -> Float
     if c < -1 + 1e-9:
         axis = np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))])
         axis /= np.linalg.norm(axis)
-        return 2 * np.outer(axis, axis) - np.eye(3)
+        return np.asarray(2 * np.outer(axis, axis) - np.eye(3), np.float64)
     K = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.eye(3) + K + K @ K / (1 + c)
 

@@ -80,7 +80,7 @@ _HUES: tuple[tuple[str, float, float], ...] = (
 _HUE_SOFT_DEG = 7.0
 
 
-def _ramp(x: Array, low: float, high: float) -> Array:
+def _ramp(x: NDArray[np.floating], low: float, high: float) -> NDArray[np.floating]:
     return np.clip((x - low) / (high - low), 0, 1)
 
 
