@@ -16,9 +16,9 @@ from thinkgrasp.perception.edges import find_edges
 from thinkgrasp.perception.morphology import Labels
 from thinkgrasp.types import Array
 
-MERGE_BELOW = 0.5
-CONCAVE_FREE_DEG = 12.0
-CONCAVE_FULL_DEG = 50.0
+MERGE_BELOW = 0.6
+CONCAVE_FREE_DEG = 16.0
+CONCAVE_FULL_DEG = 55.0
 COLOR_FREE = 14.0
 COLOR_FULL = 70.0
 
