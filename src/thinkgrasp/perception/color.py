@@ -69,8 +69,8 @@ def balance_white(lab: Array, usable: Mask) -> Array:
 
 _HUES: tuple[tuple[str, float, float], ...] = (
     ("red", 2.0, 43.0),
-    ("orange", 43.0, 73.0),
-    ("yellow", 73.0, 108.0),
+    ("orange", 43.0, 75.5),
+    ("yellow", 75.5, 108.0),
     ("green", 108.0, 202.0),
     ("blue", 202.0, 312.0),
     ("purple", 312.0, 340.0),
