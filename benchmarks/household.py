@@ -21,8 +21,8 @@ COLORS = {
 }
 BOXES = "box, cracker box, book, sponge, rubiks cube, block, stapler, phone, soap, toy car"
 LABELLED = ("box", "can", "bottle", "lying bottle")
-BALL_COLORS = ("blue", "purple", "white", "black")
-"""No fruit of a ball's size has them."""
+PAINTS = {"ball": ("blue", "purple", "white", "black"), "drill": ("orange", "yellow", "red", "blue", "green")}
+"""Balls have colours that no fruit of their size has, drills those of drills."""
 ROUND = "ball, apple, orange, lemon, tomato, pear, peach, tennis ball, baseball"
 
 
@@ -49,9 +49,9 @@ TRUTHS = {
     "box": Truth(("box",), shape="rectangular", like=_words(BOXES)),
     "block": Truth(("block",), category="toy", uses=("play with",), like=(*_words(BOXES), "computer mouse")),
     "can": Truth(("can",), shape="cylindrical", like=("can", "bottle", "mug", "cup", "glass")),
-    "mug": Truth(("mug", "cup"), uses=("drink from",), category="container", like=("bowl",)),
-    "cup": Truth(("cup",), uses=("drink from",), category="container", like=("mug", "bowl", "wine glass")),
-    "bowl": Truth(("bowl",), uses=("eat soup from",), category="container", like=("cup", "mug", "plate")),
+    "mug": Truth(("mug", "cup"), uses=("drink from",), like=("bowl",)),
+    "cup": Truth(("cup",), uses=("drink from",), like=("mug", "bowl", "wine glass")),
+    "bowl": Truth(("bowl",), uses=("eat soup from",), like=("cup", "mug", "plate")),
     "ball": Truth(("ball",), shape="round", category="toy", uses=("play with",), like=_words(ROUND)),
     "orange": Truth(("orange", "ball"), "orange", "round", "fruit", ("eat",), _words(ROUND)),
     "lemon": Truth(("lemon", "ball"), "yellow", "", "fruit", ("eat",), _words(ROUND)),
@@ -83,7 +83,7 @@ TRUTHS = {
 def random_thing(rng: np.random.Generator, x: float, y: float) -> tuple[t.TableObject, float]:
     """Return a random thing, named "colour kind" or "colour/label kind", and the radius of its footprint [m]."""
     kind = str(rng.choice(list(TRUTHS)))
-    color = TRUTHS[kind].color or str(rng.choice(BALL_COLORS if kind == "ball" else list(COLORS)))
+    color = TRUTHS[kind].color or str(rng.choice(PAINTS.get(kind, tuple(COLORS))))
     other = str(rng.choice([c for c in COLORS if c != color]))
     T = t.pose(x, y, 0.0, rng.uniform(0, 2 * np.pi))
     thing, radius = _build(kind, Paint(COLORS[color]), Paint(COLORS[color], COLORS[other], (-0.008, 0.012)), T, rng)

@@ -17,19 +17,23 @@ from thinkgrasp.language import COLOR_NAMES, SHAPE_NAMES
 from thinkgrasp.language.knowledge import Knowledge, KnownObject, load_knowledge
 from thinkgrasp.language.vocabulary import load_vocabulary
 from thinkgrasp.language.wanted import ColorWish
+from thinkgrasp.language.weights import DEFAULT_WEIGHTS, Weights
 from thinkgrasp.types import Proposal
 
 Float = NDArray[np.float64]
 
-ANY_COLOR_FIT = 0.75
-"""Colour says little of a thing that comes in any colour."""
 SEEN_AS = {"cylindrical": ("round",), "round": ("cylindrical",), "box-like": ("elongated", "flat")}
 """What a shape may also look like from one side: a can from above is round, a box from its edge is long."""
 ROUND, CYLINDRICAL = SHAPE_NAMES.index("round"), SHAPE_NAMES.index("cylindrical")
-MISSED_SHAPE = 0.4
-"""What is left of an expected shape where the view shows another one only."""
-SHAPELESS = 0.65
-"""What is left of an expected shape where the view shows no clear shape at all."""
+SHAPELESS = np.array([0.35, 0.65, 0.65, 0.4, 0.3, 0.45])
+"""What is left of an expected shape, per descriptor, where the view shows no clear shape at all.
+
+Long, flat and ball-shaped things show it from nearly every side; a can or a box that is seen in part may not.
+"""
+MISSED_SHAPE = np.array([0.3, 0.4, 0.4, 0.35, 0.25, 0.4])
+"""The same where the view shows another shape."""
+LATER_CHOICE = 0.12
+"""What each place in a list of alternative shapes takes away."""
 UNEXPECTED_SHAPE = np.array([0.35, 0.35, 0.35, 0.3, 0.35, 0.5])
 """What an unexpected shape takes away, per descriptor; a hollow is rarely seen where there is none."""
 NO_SHAPE_FIT = 0.7
@@ -70,13 +74,17 @@ class KnowledgeArrays:
     required: Float
     """(N, 6) 1 where the shape is expected."""
     either: Float
-    """(N, 6) 1 where the shape is one of those of which at least one is expected."""
+    """(N, 6) above 0 where the shape is one of those of which at least one is expected; 1 for the most usual."""
     unexpected: Float
     """(N, 6) 1 where the shape is neither expected nor optional."""
     longest_m: Float
     """(N, 2)"""
+    middle_m: Float
+    """(N, 2)"""
     shortest_m: Float
     """(N, 2)"""
+    common: Float
+    """(N,) how usual each object is."""
 
 
 @lru_cache(maxsize=1)
@@ -89,9 +97,9 @@ def _arrays(knowledge: Knowledge) -> KnowledgeArrays:
     objects = tuple(knowledge.objects.values())
     colors = np.array([[_usualness(o, c) for c in COLOR_NAMES] for o in objects])
     required = np.array([[s in o.shapes for s in SHAPE_NAMES] for o in objects], float)
-    either = np.array([[s in o.either_shapes for s in SHAPE_NAMES] for o in objects], float)
+    either = np.array([[_choice(o, s) for s in SHAPE_NAMES] for o in objects], float)
     optional = np.array([[s in o.optional_shapes for s in SHAPE_NAMES] for o in objects], float)
-    expected = np.maximum(required, either)
+    expected = np.maximum(required, either > 0)
     from_one_view = np.zeros_like(required)
     for shape, looks in SEEN_AS.items():
         has = expected[:, [SHAPE_NAMES.index(shape)]]
@@ -104,8 +112,14 @@ def _arrays(knowledge: Knowledge) -> KnowledgeArrays:
         either=either,
         unexpected=1 - np.maximum.reduce([expected, optional, from_one_view]),
         longest_m=np.array([o.longest_m for o in objects]),
+        middle_m=np.array([o.middle_m for o in objects]),
         shortest_m=np.array([o.shortest_m for o in objects]),
+        common=np.array([o.common for o in objects]),
     )
+
+
+def _choice(obj: KnownObject, shape: str) -> float:
+    return 1 - LATER_CHOICE * obj.either_shapes.index(shape) if shape in obj.either_shapes else 0.0
 
 
 def _usualness(obj: KnownObject, color: str) -> float:
@@ -128,11 +142,12 @@ class ObjectFits:
         return self.form * self.color
 
 
-def fit_objects(proposals: Sequence[Proposal]) -> ObjectFits:
+def fit_objects(proposals: Sequence[Proposal], weights: Weights = DEFAULT_WEIGHTS) -> ObjectFits:
     """Judge every proposal against every known object.
 
     Args:
         proposals: P things.
+        weights: How strictly.
 
     Returns:
         Degrees (N, P) in 0..1.
@@ -143,24 +158,30 @@ def fit_objects(proposals: Sequence[Proposal]) -> ObjectFits:
     extents = np.array([p.extents_m for p in proposals]).reshape(-1, 3)
 
     shapes = np.clip(shapes, 0, 1)
-    missed = SHAPELESS + (MISSED_SHAPE - SHAPELESS) * shapes.max(axis=1, initial=0.0)[:, None]
+    clear = shapes.max(axis=1, initial=0.0)[:, None]
+    missed = (SHAPELESS + (MISSED_SHAPE - SHAPELESS) * clear) ** weights.missing_shape
     degree = missed + (1 - missed) * shapes
     has_choice = k.either.any(axis=1)
     n_required = k.required.sum(axis=1) + has_choice
     choice = (k.either[:, None, :] * degree[None]).max(axis=2)
     seen = (k.required @ degree.T + choice) / np.maximum(n_required, 1)[:, None]
     shape = np.where(n_required[:, None] > 0, seen, NO_SHAPE_FIT)
-    shape = shape * np.exp(k.unexpected @ np.log(1 - UNEXPECTED_SHAPE * shapes).T)
+    takes = np.minimum(weights.unexpected_shape * UNEXPECTED_SHAPE, 0.9)
+    shape = shape * np.exp(k.unexpected @ np.log(1 - takes * shapes).T)
     ball = (k.required[:, ROUND] > 0) & (k.unexpected[:, CYLINDRICAL] == 0) & (k.either[:, CYLINDRICAL] == 0)
     more_can_than_ball = np.clip(shapes[:, CYLINDRICAL] - shapes[:, ROUND], 0, 1)
     shape = shape * (1 - ball[:, None] * UNEXPECTED_SHAPE[CYLINDRICAL] * more_can_than_ball)
-    size = _within(extents[:, 0], k.longest_m, 0.45, 0.25) * _within(extents[:, 2], k.shortest_m, 0.8, 0.5)
+    slack = max(weights.size_slack, 1e-3)
+    size = _within(extents[:, 0], k.longest_m, 0.45 * slack, 0.25 * slack)
+    size = size * _within(extents[:, 1], k.middle_m, 0.6 * slack, 0.35 * slack)
+    size = size * _within(extents[:, 2], k.shortest_m, 0.8 * slack, 0.5 * slack)
     slender = np.stack([k.shortest_m[:, i] / np.maximum(k.longest_m[:, i], 1e-3) for i in (0, 1)], axis=1)
     slender = np.stack([slender.min(axis=1) / 1.2, slender.max(axis=1) * 1.2], axis=1)
-    size = size * _within(extents[:, 2] / np.maximum(extents[:, 0], 1e-3), slender, 0.6, 0.6)
-    usual = 0.15 + 0.85 * np.clip((k.colors @ (colors @ _SHADED).T - 0.05) / 0.6, 0, 1)
-    telling = np.maximum(1 - 0.05 * np.maximum(k.n_colors - 1, 0), ANY_COLOR_FIT)
-    color = np.where(k.n_colors[:, None] == 0, ANY_COLOR_FIT, usual * telling[:, None])
+    size = size * _within(extents[:, 2] / np.maximum(extents[:, 0], 1e-3), slender, 0.6 * slack, 0.6 * slack)
+    odd, indifferent = weights.odd_color_fit, weights.any_color_fit
+    usual = odd + (1 - odd) * np.clip((k.colors @ (colors @ _SHADED).T - 0.05) / 0.6, 0, 1)
+    telling = np.maximum(1 - 0.05 * np.maximum(k.n_colors - 1, 0), indifferent)
+    color = np.where(k.n_colors[:, None] == 0, indifferent, usual * telling[:, None])
     return ObjectFits(k.names, shape * size, color)
 
 

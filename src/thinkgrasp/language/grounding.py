@@ -12,23 +12,17 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from thinkgrasp.language.evidence import ObjectFits, color_degree, fit_objects, shape_degree
+from thinkgrasp.language.evidence import ObjectFits, color_degree, fit_objects, knowledge_arrays, shape_degree
 from thinkgrasp.language.knowledge import KnownObject, load_knowledge
 from thinkgrasp.language.places import Layout
 from thinkgrasp.language.wanted import Query, RelationWish, Wanted
+from thinkgrasp.language.weights import DEFAULT_WEIGHTS, Weights
 from thinkgrasp.types import Proposal, Scene
 
 Float = NDArray[np.float64]
 
-MIN_SCORE = 0.35
-"""A match below this does not answer to the query."""
+MIN_SCORE = DEFAULT_WEIGHTS.min_score
 MIN_LANDMARK_SCORE = 0.3
-RIVAL_DISCOUNT = 0.9
-"""The name that was said has this advantage over all those that were not."""
-RIVALRY = 1.8
-"""Exponent on a match's share of the best rival name's fit."""
-RIVALRY_WHEN_DESCRIBED = 0.7
-"""The same where a colour or shape was said too: who describes a thing has most likely seen it."""
 NEAR_BEST = 0.6
 """Things with this share of the best score compete on place and size."""
 MIN_RELATION = 0.12
@@ -61,27 +55,29 @@ class Grounding:
     """Whether a colour or shape was said."""
     notes: tuple[str, ...] = ()
     """What could not be judged."""
+    lone_share: float = DEFAULT_WEIGHTS.lone_described
+    """Share of the least score that is enough for a described thing that stands out."""
 
     def fitting(self, min_score: float = MIN_SCORE) -> tuple[Match, ...]:
         """Return the matches that answer to the query: those above the score, or else the one that stands out.
 
-        A thing stands out when no other comes near and it reaches half of the score where a colour or shape was said,
-        three quarters of it where none was.
+        A thing stands out when a colour or shape was said and no other comes near; then less than the score is enough.
         """
         good = tuple(m for m in self.matches if m.score >= min_score)
         if good or not self.matches:
             return good
         best, *rest = self.matches
         lone = not rest or rest[0].score * STANDS_OUT <= best.score
-        return (best,) if lone and best.score >= (0.5 if self.described else 0.75) * min_score else ()
+        return (best,) if self.described and lone and best.score >= self.lone_share * min_score else ()
 
 
-def ground(scene: Scene, query: Query) -> Grounding:
+def ground(scene: Scene, query: Query, weights: Weights = DEFAULT_WEIGHTS) -> Grounding:
     """Score every proposal of a scene against a query.
 
     Args:
         scene: Proposals with colours, shapes and sizes; obstruction edges say what rests on what.
         query: From `parse`.
+        weights: How strictly words are held against what is seen.
 
     Returns:
         One match per proposal, best first; empty when the scene has none or nothing was understood.
@@ -89,7 +85,7 @@ def ground(scene: Scene, query: Query) -> Grounding:
     things = scene.proposals
     if not things or not query.wanted:
         return Grounding(())
-    view = _View(scene)
+    view = _View(scene, weights)
     scored = [view.score(w) for w in query.wanted]
     total = np.stack([s.score for s in scored])
     best = total.argmax(axis=0)
@@ -108,7 +104,7 @@ def ground(scene: Scene, query: Query) -> Grounding:
     ]
     matches.sort(key=lambda m: (-m.score, m.mark))
     described = any(w.colors or w.shapes for w in query.wanted)
-    return Grounding(tuple(matches), described, tuple(dict.fromkeys(notes)))
+    return Grounding(tuple(matches), described, tuple(dict.fromkeys(notes)), weights.lone_described)
 
 
 def describe(proposal: Proposal) -> str:
@@ -123,7 +119,7 @@ def guess_names(scene: Scene) -> dict[int, tuple[str, float]]:
     if not scene.proposals:
         return {}
     fits = fit_objects(scene.proposals)
-    best = fits.all.argmax(axis=0)
+    best = (fits.all * knowledge_arrays().common[:, None]).argmax(axis=0)
     return {p.mark: (fits.names[best[i]], float(fits.all[best[i], i])) for i, p in enumerate(scene.proposals)}
 
 
@@ -140,7 +136,7 @@ def candidates(wanted: Wanted) -> dict[str, float]:
             (1.0 if u in obj.uses else SECOND_USE if u in obj.second_uses else 0.0 for u in wanted.uses), default=1.0
         )
         if (wanted.categories or wanted.uses) and in_category and use > 0:
-            found[obj.name] = use
+            found[obj.name] = use * obj.common
     if not found and wanted.categories and wanted.uses:
         return candidates(Wanted(categories=wanted.categories))
     return found
@@ -159,21 +155,23 @@ class _Scored:
 class _View:
     """One scene, measured once, against which several wanted things are scored."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, weights: Weights) -> None:
+        self.weights = weights
         self.things = scene.proposals
         self.layout = Layout.of(scene)
-        self.fits: ObjectFits = fit_objects(self.things)
+        self.fits: ObjectFits = fit_objects(self.things, weights)
         self.index = {name: i for i, name in enumerate(self.fits.names)}
         self.confidence = np.array([p.confidence for p in self.things])
 
     def score(self, wanted: Wanted) -> _Scored:
         n = len(self.things)
-        out = _Scored(np.clip(self.confidence, 0.05, 1) ** 0.25, [[] for _ in range(n)], [None] * n, [])
+        out = _Scored(np.clip(self.confidence, 0.05, 1) ** self.weights.confidence, [[] for _ in range(n)], [None] * n, [])
         if wanted.has_noun:
             self._noun(wanted, out)
         if wanted.colors:
             each = np.array([[color_degree(p, c) for p in self.things] for c in wanted.colors])
             degree = each.max(axis=0) if wanted.any_color else 0.5 * each.mean(axis=0) + 0.5 * each.min(axis=0)
+            degree = degree * np.minimum(degree / max(self.weights.said_color, 1e-6), 1)
             self._apply(out, "colour " + wanted.label_colors, degree)
         for shape in wanted.shapes:
             self._apply(out, shape, np.array([0.05 + 0.95 * shape_degree(p, shape) for p in self.things]))
@@ -217,10 +215,12 @@ class _View:
         best = (mine * literal[:, None]).argmax(axis=0)
         degree = mine.max(axis=0)
         others = np.array([i for name, i in self.index.items() if name not in _kin(frozenset(weights))], np.intp)
-        rival = fits[others].max(axis=0, initial=0.0)
-        rival_at = fits[others].argmax(axis=0) if len(others) else np.zeros(len(self.things), np.intp)
-        doubt = RIVALRY if with_color and not wanted.shapes else RIVALRY_WHEN_DESCRIBED
-        share = (degree / np.maximum(np.maximum(degree, RIVAL_DISCOUNT * rival), 1e-9)) ** doubt
+        likely = fits[others] * knowledge_arrays().common[others, None]
+        rival = likely.max(axis=0, initial=0.0)
+        rival_at = likely.argmax(axis=0) if len(others) else np.zeros(len(self.things), np.intp)
+        w = self.weights
+        doubt = w.rivalry if with_color and not wanted.shapes else w.rivalry_described
+        share = (degree / np.maximum(np.maximum(degree, w.rival_discount * rival), 1e-9)) ** doubt
         names = list(weights)
         for i, p in enumerate(self.things):
             out.names[i] = names[best[i]]

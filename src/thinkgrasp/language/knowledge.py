@@ -15,6 +15,10 @@ from thinkgrasp.language import COLOR_NAMES, SHAPE_NAMES
 PLACES = ("wide", "thin", "protrusion", "rim", "top", "bottom", "middle")
 """Where a part is found on a thing: which end of a long thing, or which feature of its outline."""
 
+COMMONNESS = {"everywhere": 1.0, "usual": 0.85, "seldom": 0.65}
+_MIDDLE_OF_ROUND = 1.3
+"""What is round across has a middle side not much longer than its shortest."""
+
 
 @dataclass(frozen=True)
 class Part:
@@ -41,6 +45,9 @@ class KnownObject:
     """Descriptors that it may show."""
     longest_m: tuple[float, float]
     shortest_m: tuple[float, float]
+    middle_m: tuple[float, float]
+    common: float
+    """How usual it is on a table before a robot: 1 for what is found everywhere, less for what seldom is."""
     uses: tuple[str, ...]
     second_uses: tuple[str, ...]
     """Uses that it serves, though other things serve them better."""
@@ -100,17 +107,22 @@ def parse_knowledge(groups: Mapping[str, Mapping[str, Any]]) -> Knowledge:
             name that occurs twice.
     """
     objects: dict[str, KnownObject] = {}
+    commonness = {name: COMMONNESS[how] for how, names in groups.get("commonness", {}).items() for name in names}
     for group_name, group in groups.items():
+        if group_name == "commonness":
+            continue
         shared = {k: v for k, v in group.items() if k != "rows"}
         for row in group["rows"]:
-            obj = _parse_row(group_name, shared, row)
+            obj = _parse_row(group_name, shared, row, commonness)
             if obj.name in objects:
                 raise ConfigError(f"household knowledge: {obj.name!r} occurs twice")
             objects[obj.name] = obj
+    if unknown := sorted(commonness.keys() - objects.keys()):
+        raise ConfigError(f"household knowledge: commonness names unknown objects: {', '.join(unknown)}")
     return Knowledge(objects)
 
 
-def _parse_row(group: str, shared: Mapping[str, Any], row: list[Any]) -> KnownObject:
+def _parse_row(group: str, shared: Mapping[str, Any], row: list[Any], commonness: Mapping[str, float]) -> KnownObject:
     if len(row) not in (6, 7):
         raise ConfigError(f"household knowledge, group {group!r}: a row has 6 or 7 entries, got {row}")
     name, synonyms, colors, shapes, longest, shortest = row[:6]
@@ -120,6 +132,8 @@ def _parse_row(group: str, shared: Mapping[str, Any], row: list[Any]) -> KnownOb
     ranges = [_metres(where, r) for r in (longest, shortest)]
     if ranges[1][0] > ranges[0][0] or ranges[1][1] > ranges[0][1]:
         raise ConfigError(f"{where}: the shortest side {shortest} exceeds the longest {longest}")
+    shapes_said = [s for s in shapes.split() if s[-1] != "?"]
+    middle = (ranges[1][0], _MIDDLE_OF_ROUND * ranges[1][1] if "cylindrical" in shapes_said else ranges[0][1])
     return KnownObject(
         name=name,
         synonyms=tuple(s.strip() for s in synonyms.split(",") if s.strip()),
@@ -132,6 +146,8 @@ def _parse_row(group: str, shared: Mapping[str, Any], row: list[Any]) -> KnownOb
         optional_shapes=_known(where, "shape", (s[:-1] for s in shapes.split() if s.endswith("?")), SHAPE_NAMES),
         longest_m=ranges[0],
         shortest_m=ranges[1],
+        middle_m=_metres(where, own["middle"]) if "middle" in own else middle,
+        common=commonness.get(name, COMMONNESS["usual"]),
         uses=tuple(u for u in uses if not u.endswith("?")),
         second_uses=tuple(u[:-1] for u in uses if u.endswith("?")),
         take=tuple(_part(where, p) for p in own.get("take", ())),
