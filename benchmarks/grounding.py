@@ -89,6 +89,7 @@ def make_case(kind: str, seed: int) -> Case:
 Known = list[tuple[str, str, Truth]]
 UNPAINTED = ("banana", "knife", "spoon", "hammer")
 """Things whose colour the drawn one does not change, or only a part of."""
+WITH_DARK_PARTS = ("bottle", "drill", "hammer", "marker", "knife")
 
 
 def questions(case: Case, rng: np.random.Generator) -> Iterator[Question]:
@@ -117,12 +118,17 @@ def _about(case: Case, known: Known, rng: np.random.Generator) -> Iterator[Quest
             if not any(c in near for j, k in enumerate(known) if j != i for c in k[:2]):
                 yield Question("colour + unknown noun", f"grab the {color} gizmo", (i,))
         if what.category:
-            members = tuple(j for j, k in enumerate(known) if k[2].category == what.category)
+            members = tuple(j for j, k in enumerate(known) if k[2].category == what.category or _is_toy(k, what))
             yield Question("category", f"I need a {what.category}", members)
         if what.uses:
             use = str(rng.choice(what.uses))
             yield Question("use", f"something to {use}", tuple(j for j, k in enumerate(known) if use in k[2].uses))
         yield from _places(case, known, i, name, same)
+
+
+def _is_toy(known: tuple[str, str, Truth], what: Truth) -> bool:
+    """Whether a plain fruit may pass for a ball where a toy is asked for."""
+    return what.category == "toy" and "ball" in known[2].names
 
 
 def _places(case: Case, known: Known, i: int, name: str, same: tuple[int, ...]) -> Iterator[Question]:
@@ -165,6 +171,8 @@ def _absent(case: Case, known: Known, rng: np.random.Generator) -> Iterator[Ques
     for noun in rng.choice(free, min(4, len(free)), replace=False):
         yield Question("absent noun", f"give me {'an' if noun[0] in 'aeio' else 'a'} {noun}", ())
     near = {n for k in known for c in k[:2] if c for n in (c, *NEAR_COLORS[c].split())}
+    if any(what.names[0] in WITH_DARK_PARTS for *_, what in known):
+        near.add("black")
     unseen = [c for c in COLORS if c not in near]
     for i in case.found:
         what = known[i][2]

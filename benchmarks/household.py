@@ -21,7 +21,7 @@ COLORS = {
 }
 BOXES = "box, cracker box, book, sponge, rubiks cube, block, stapler, phone, soap, toy car"
 LABELLED = ("box", "can", "bottle", "lying bottle")
-PAINTS = {"ball": ("blue", "purple", "white", "black"), "drill": ("orange", "yellow", "red", "blue", "green")}
+PAINTS = {"ball": ("blue", "black"), "drill": ("orange", "yellow", "red", "blue", "green")}
 """Balls have colours that no fruit of their size has, drills those of drills."""
 ROUND = "ball, apple, orange, lemon, tomato, pear, peach, tennis ball, baseball"
 
@@ -53,9 +53,9 @@ TRUTHS = {
     "cup": Truth(("cup",), uses=("drink from",), like=("mug", "bowl", "wine glass")),
     "bowl": Truth(("bowl",), uses=("eat soup from",), like=("cup", "mug", "plate")),
     "ball": Truth(("ball",), shape="round", category="toy", uses=("play with",), like=_words(ROUND)),
-    "orange": Truth(("orange", "ball"), "orange", "round", "fruit", ("eat",), _words(ROUND)),
-    "lemon": Truth(("lemon", "ball"), "yellow", "", "fruit", ("eat",), _words(ROUND)),
-    "apple": Truth(("apple", "ball"), "red", "round", "fruit", ("eat",), _words(ROUND)),
+    "orange": Truth(("orange", "ball"), "orange", "round", "fruit", ("eat", "play with"), _words(ROUND)),
+    "lemon": Truth(("lemon", "ball"), "yellow", "", "fruit", ("eat", "play with"), _words(ROUND)),
+    "apple": Truth(("apple", "ball"), "red", "round", "fruit", ("eat", "play with"), _words(ROUND)),
     "banana": Truth(("banana",), "yellow", "", "fruit", ("eat",), ("carrot", "cucumber")),
     "marker": Truth(
         ("marker",), shape="elongated", uses=("write with",), like=_words("pen, pencil, screwdriver, toothbrush, knife")

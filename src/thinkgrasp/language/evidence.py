@@ -24,20 +24,23 @@ Float = NDArray[np.float64]
 
 SEEN_AS = {"cylindrical": ("round",), "round": ("cylindrical",), "box-like": ("elongated", "flat")}
 """What a shape may also look like from one side: a can from above is round, a box from its edge is long."""
-ROUND, CYLINDRICAL = SHAPE_NAMES.index("round"), SHAPE_NAMES.index("cylindrical")
-SHAPELESS = np.array([0.35, 0.65, 0.65, 0.4, 0.3, 0.45])
+ROUND, CYLINDRICAL, HOLLOW = (SHAPE_NAMES.index(s) for s in ("round", "cylindrical", "hollow"))
+SHAPELESS = np.array([0.35, 0.6, 0.6, 0.4, 0.3, 0.45])
 """What is left of an expected shape, per descriptor, where the view shows no clear shape at all.
 
 Long, flat and ball-shaped things show it from nearly every side; a can or a box that is seen in part may not.
 """
 MISSED_SHAPE = np.array([0.3, 0.4, 0.4, 0.35, 0.25, 0.4])
 """The same where the view shows another shape."""
-LATER_CHOICE = 0.12
+LATER_CHOICE = 0.25
 """What each place in a list of alternative shapes takes away."""
 UNEXPECTED_SHAPE = np.array([0.35, 0.35, 0.35, 0.3, 0.35, 0.5])
 """What an unexpected shape takes away, per descriptor; a hollow is rarely seen where there is none."""
-NO_SHAPE_FIT = 0.7
-"""Shape says little of a thing that has no regular one."""
+STANDING = 0.6
+"""What a thing that never stands on its end loses where one does."""
+IRREGULAR_FIT = (0.75, 0.6)
+"""How well a thing that has no regular shape fits where none is seen, and where a clear one is seen."""
+
 
 CHROMATIC = tuple(c for c in COLOR_NAMES if c not in ("black", "white", "grey"))
 
@@ -83,6 +86,8 @@ class KnowledgeArrays:
     """(N, 2)"""
     shortest_m: Float
     """(N, 2)"""
+    lies: Float
+    """(N,) 1 for what does not stand on its end."""
     common: Float
     """(N,) how usual each object is."""
 
@@ -114,6 +119,7 @@ def _arrays(knowledge: Knowledge) -> KnowledgeArrays:
         longest_m=np.array([o.longest_m for o in objects]),
         middle_m=np.array([o.middle_m for o in objects]),
         shortest_m=np.array([o.shortest_m for o in objects]),
+        lies=np.array([float(o.lies) for o in objects]),
         common=np.array([o.common for o in objects]),
     )
 
@@ -165,24 +171,38 @@ def fit_objects(proposals: Sequence[Proposal], weights: Weights = DEFAULT_WEIGHT
     n_required = k.required.sum(axis=1) + has_choice
     choice = (k.either[:, None, :] * degree[None]).max(axis=2)
     seen = (k.required @ degree.T + choice) / np.maximum(n_required, 1)[:, None]
-    shape = np.where(n_required[:, None] > 0, seen, NO_SHAPE_FIT)
+    odd_shape = (k.unexpected[:, None, :] * shapes[None]).max(axis=2, initial=0.0)
+    irregular = IRREGULAR_FIT[0] + (IRREGULAR_FIT[1] - IRREGULAR_FIT[0]) * odd_shape
+    shape = np.where(n_required[:, None] > 0, seen, irregular)
     takes = np.minimum(weights.unexpected_shape * UNEXPECTED_SHAPE, 0.9)
     shape = shape * np.exp(k.unexpected @ np.log(1 - takes * shapes).T)
     ball = (k.required[:, ROUND] > 0) & (k.unexpected[:, CYLINDRICAL] == 0) & (k.either[:, CYLINDRICAL] == 0)
     more_can_than_ball = np.clip(shapes[:, CYLINDRICAL] - shapes[:, ROUND], 0, 1)
     shape = shape * (1 - ball[:, None] * UNEXPECTED_SHAPE[CYLINDRICAL] * more_can_than_ball)
+    can = (k.required[:, CYLINDRICAL] > 0) | ((k.either[:, CYLINDRICAL] > 0) & (k.either[:, HOLLOW] == 0))
+    can &= (k.required[:, ROUND] == 0) & (k.either[:, ROUND] == 0)
+    shape = shape * (1 - 0.6 * can[:, None] * np.clip(shapes[:, ROUND] - shapes[:, CYLINDRICAL], 0, 1))
     slack = max(weights.size_slack, 1e-3)
     size = _within(extents[:, 0], k.longest_m, 0.45 * slack, 0.25 * slack)
     size = size * _within(extents[:, 1], k.middle_m, 0.6 * slack, 0.35 * slack)
-    size = size * _within(extents[:, 2], k.shortest_m, 0.8 * slack, 0.5 * slack)
-    slender = np.stack([k.shortest_m[:, i] / np.maximum(k.longest_m[:, i], 1e-3) for i in (0, 1)], axis=1)
+    size = size * _within(extents[:, 2], k.shortest_m, 0.8 * slack, 0.35 * slack)
+    slender = k.shortest_m / np.maximum(k.longest_m, 1e-3)
     slender = np.stack([slender.min(axis=1) / 1.2, slender.max(axis=1) * 1.2], axis=1)
-    size = size * _within(extents[:, 2] / np.maximum(extents[:, 0], 1e-3), slender, 0.6 * slack, 0.6 * slack)
+    size = size * _within(extents[:, 2] / np.maximum(extents[:, 0], 1e-3), slender, 0.6 * slack, 0.45 * slack)
+    upright = np.array([_stands(p) for p in proposals])
+    size = size * (1 - STANDING * k.lies[:, None] * upright)
     odd, indifferent = weights.odd_color_fit, weights.any_color_fit
     usual = odd + (1 - odd) * np.clip((k.colors @ (colors @ _SHADED).T - 0.05) / 0.6, 0, 1)
     telling = np.maximum(1 - 0.05 * np.maximum(k.n_colors - 1, 0), indifferent)
     color = np.where(k.n_colors[:, None] == 0, indifferent, usual * telling[:, None])
     return ObjectFits(k.names, shape * size, color)
+
+
+def _stands(proposal: Proposal) -> float:
+    """Return how far a long thing stands on its end, 0..1."""
+    longest, _, shortest = proposal.extents_m
+    rise = (proposal.height_m[1] - max(proposal.height_m[0], 0.0)) / max(longest, 1e-3)
+    return float(np.clip((rise - 0.6) / 0.3, 0, 1)) if longest > 1.5 * shortest else 0.0
 
 
 def _within(side_m: Float, range_m: Float, below: float, above: float) -> Float:

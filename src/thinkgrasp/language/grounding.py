@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from thinkgrasp.language.completion import stand_down
 from thinkgrasp.language.evidence import ObjectFits, color_degree, fit_objects, knowledge_arrays, shape_degree
 from thinkgrasp.language.knowledge import KnownObject, load_knowledge
 from thinkgrasp.language.places import Layout
@@ -29,6 +30,8 @@ MIN_RELATION = 0.12
 """Below this nobody would say that the relation holds."""
 STANDS_OUT = 2.5
 """Ratio of the best score to the next from which on a thing stands out."""
+A_KIND_OF = 0.85
+"""Weight of a special kind where the general name was said, so that usual colours of kinds do not decide."""
 SECOND_USE = 0.75
 """Weight of a use that a thing serves, though others serve it better."""
 
@@ -118,7 +121,7 @@ def guess_names(scene: Scene) -> dict[int, tuple[str, float]]:
     """Return the known object that each proposal fits best, with its degree, by mark."""
     if not scene.proposals:
         return {}
-    fits = fit_objects(scene.proposals)
+    fits = fit_objects(stand_down(scene).proposals)
     best = (fits.all * knowledge_arrays().common[:, None]).argmax(axis=0)
     return {p.mark: (fits.names[best[i]], float(fits.all[best[i], i])) for i, p in enumerate(scene.proposals)}
 
@@ -128,7 +131,7 @@ def candidates(wanted: Wanted) -> dict[str, float]:
     """Return the known objects that answer to the noun of a wanted thing, with weights 0..1; empty without a noun."""
     knowledge = load_knowledge()
     if wanted.names:
-        return {k: 1.0 for name in wanted.names for k in knowledge.kinds_of(name)}
+        return {k: 1.0 if k == name else A_KIND_OF for name in wanted.names for k in knowledge.kinds_of(name)}
     found: dict[str, float] = {}
     for obj in knowledge.objects.values():
         in_category = not wanted.categories or any(c in obj.categories for c in wanted.categories)
@@ -156,6 +159,7 @@ class _View:
     """One scene, measured once, against which several wanted things are scored."""
 
     def __init__(self, scene: Scene, weights: Weights) -> None:
+        scene = stand_down(scene)
         self.weights = weights
         self.things = scene.proposals
         self.layout = Layout.of(scene)

@@ -46,6 +46,8 @@ class KnownObject:
     longest_m: tuple[float, float]
     shortest_m: tuple[float, float]
     middle_m: tuple[float, float]
+    lies: bool
+    """Whether it does not stand on its end."""
     common: float
     """How usual it is on a table before a robot: 1 for what is found everywhere, less for what seldom is."""
     uses: tuple[str, ...]
@@ -147,6 +149,7 @@ def _parse_row(group: str, shared: Mapping[str, Any], row: list[Any], commonness
         longest_m=ranges[0],
         shortest_m=ranges[1],
         middle_m=_metres(where, own["middle"]) if "middle" in own else middle,
+        lies=bool(own.get("lies", False)),
         common=commonness.get(name, COMMONNESS["usual"]),
         uses=tuple(u for u in uses if not u.endswith("?")),
         second_uses=tuple(u[:-1] for u in uses if u.endswith("?")),

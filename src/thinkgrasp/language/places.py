@@ -15,7 +15,7 @@ from thinkgrasp.types import Scene
 
 Float = NDArray[np.float64]
 
-NEAR_M = 0.08
+NEAR_M = 0.11
 """Gap between two things at which "next to" has dropped to about a third."""
 
 
