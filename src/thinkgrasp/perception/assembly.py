@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from thinkgrasp.perception.color import color_memberships
-from thinkgrasp.perception.edges import find_edges, tabulate
+from thinkgrasp.perception.edges import count_pairs, find_edges, tabulate
 from thinkgrasp.perception.foreground import Foreground
 from thinkgrasp.perception.morphology import Labels, nearest_area
 from thinkgrasp.perception.shape import Circle, circle_from_normals
@@ -75,9 +75,8 @@ def _join(labels: Labels, points: Array, normals: Array, lab: Array, support: Su
         return labels
     edges = find_edges(labels, points, normals, reach_px=3, blind_reach_px=15)
     contact, front = tabulate(edges, n)
-    blind = np.zeros((n, n), np.int64)
-    np.add.at(blind, (edges.a[edges.blind], edges.b[edges.blind]), 1)
-    blind += blind.T
+    blind = count_pairs(edges.a[edges.blind], edges.b[edges.blind], n)
+    blind = blind + blind.T
     bodies = [_body(labels == i + 1, points, normals, lab, support) for i in range(n)]
     group = np.arange(n)
     for i in np.argsort([b.pixels for b in bodies], kind="stable"):

@@ -35,11 +35,10 @@ def find_blind(
         Labels with the new things appended, and a copy of the points in which their missing depth is that of an upright
         card that stands where the thing's lowest pixel meets the support: good for size, not for grasping.
     """
-    height, width = labels.shape
-    v, u = np.mgrid[0:height, 0:width]
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u, float)], axis=-1)
     blank = (labels == 0) & (foreground.region & (np.abs(foreground.height) < 0.012) | ~np.isfinite(points[..., 2]))
     candidate = blank & (foreground.contrast > foreground.usual_contrast + CONTRAST)
+    if candidate.sum() < MIN_PIXELS:
+        return labels, points
     candidate = ndimage.binary_closing(candidate, iterations=2) & blank
     candidate = ndimage.binary_opening(candidate, iterations=MIN_WIDTH_PX // 2)
     candidate &= ~ndimage.binary_dilation(labels > 0, iterations=4).astype(bool)
@@ -51,7 +50,7 @@ def find_blind(
         solid = ndimage.binary_fill_holes(mask) & blank[box]
         if solid.sum() < MIN_PIXELS or mask.sum() < COLORED_SHARE * solid.sum() or _touches_image(box, labels.shape):
             continue
-        card = _card(rays[box], solid, support)
+        card = _card(_rays(box, camera), solid, support)
         if card is None:
             continue
         missing = solid & ~np.isfinite(points[box][..., 2])
@@ -61,6 +60,12 @@ def find_blind(
             filled = filled.copy() if filled is points else filled
             filled[box][missing] = card[missing]
     return out, filled
+
+
+def _rays(box: tuple[slice, slice], camera: CameraIntrinsics) -> Float:
+    """Viewing directions (h, w, 3) of the pixels of a box, z = 1."""
+    v, u = np.mgrid[box]
+    return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
 
 
 def _touches_image(box: tuple[slice, slice], shape: tuple[int, ...]) -> bool:

@@ -14,6 +14,8 @@ INSET_PX = 3
 """Depth is compared this far inside both areas: sensors smear a step over a few pixels."""
 STEP_M = (0.010, 0.008)
 """A residual of a + b z [m] is a step."""
+MIN_FACING = 0.2
+"""A surface seen at a greater slant may be smear, whose tangent plane would explain any step away."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +75,18 @@ def find_edges(labels: Labels, points: Array, normals: Array, reach_px: int = 0,
 
 def _step(pa: Array, na: Array, pb: Array, nb: Array) -> NDArray[np.int8]:
     za, zb = pa[:, 2], pb[:, 2]
+    plain = np.abs(za - zb)
     with np.errstate(divide="ignore", invalid="ignore"):
-        residual_b = np.abs(zb - _predict(pa, na, pb))
-        residual_a = np.abs(za - _predict(pb, nb, pa))
-    residual = np.fmin(np.fmin(residual_a, residual_b), np.abs(za - zb))
+        residual_b = np.where(_facing(pa, na) > MIN_FACING, np.abs(zb - _predict(pa, na, pb)), plain)
+        residual_a = np.where(_facing(pb, nb) > MIN_FACING, np.abs(za - _predict(pb, nb, pa)), plain)
+    residual = np.fmin(np.fmin(residual_a, residual_b), plain)
     stepped = residual > STEP_M[0] + STEP_M[1] * np.minimum(za, zb)
     return np.where(stepped, np.where(za < zb, 1, -1), 0).astype(np.int8)
+
+
+def _facing(p: Array, n: Array) -> Array:
+    """Cosine (N,) between normal and line of sight; NaN where the normal is unknown."""
+    return -(p * n).sum(1) / np.linalg.norm(p, axis=1)
 
 
 def _predict(p: Array, n: Array, target: Array) -> Array:
@@ -88,10 +96,12 @@ def _predict(p: Array, n: Array, target: Array) -> Array:
 
 def tabulate(edges: Edges, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return per pair (n, n) the number of pixels in contact (symmetric), and [i, j]: i in front of j by a step."""
-    contact = np.zeros((n, n), np.int64)
-    front = np.zeros((n, n), np.int64)
     level, first, second = edges.step == 0, edges.step > 0, edges.step < 0
-    np.add.at(contact, (edges.a[level], edges.b[level]), 1)
-    np.add.at(front, (edges.a[first], edges.b[first]), 1)
-    np.add.at(front, (edges.b[second], edges.a[second]), 1)
+    contact = count_pairs(edges.a[level], edges.b[level], n)
+    front = count_pairs(edges.a[first], edges.b[first], n) + count_pairs(edges.b[second], edges.a[second], n)
     return contact + contact.T, front
+
+
+def count_pairs(a: NDArray[np.intp], b: NDArray[np.intp], n: int) -> NDArray[np.int64]:
+    """Return how often each pair (n, n) occurs."""
+    return np.bincount(a * n + b, minlength=n * n).reshape(n, n).astype(np.int64)

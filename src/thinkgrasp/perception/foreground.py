@@ -83,19 +83,18 @@ def flying_pixels(points: Array, steepness: float = 5.0) -> Mask:
 
 
 def _contrast(lab: Array, surface: Mask, block: int = 8) -> Array:
-    """Colour difference of every pixel to the surface's colour around it; lightness counts less (shadows)."""
+    """Colour difference of every pixel to the surface's colour around it; lightness counts less (shadows).
+
+    Far from any surface the surface's overall colour is taken.
+    """
     h, w = surface.shape
     H, W = h // block, w // block
     weight = surface[: H * block, : W * block].reshape(H, block, W, block).sum((1, 3)).astype(np.float32)
     total = np.where(surface[..., None], lab, 0)[: H * block, : W * block].reshape(H, block, W, block, 3).sum((1, 3))
-    smooth = ndimage.gaussian_filter(weight, 5) + 1e-3 * ndimage.gaussian_filter(weight, 40) + 1e-9
-    local = np.stack(
-        [
-            (ndimage.gaussian_filter(total[..., c], 5) + 1e-3 * ndimage.gaussian_filter(total[..., c], 40)) / smooth
-            for c in range(3)
-        ],
-        axis=-1,
-    )
+    overall = total.sum((0, 1)) / max(float(weight.sum()), 1e-6)
+    share = ndimage.gaussian_filter(weight, 5) + 1e-3
+    local = np.stack([ndimage.gaussian_filter(total[..., c], 5) for c in range(3)], axis=-1) + 1e-3 * overall
+    local /= share[..., None]
     rows = np.minimum(np.arange(h) // block, H - 1)
     columns = np.minimum(np.arange(w) // block, W - 1)
     difference = lab - local[rows[:, None], columns].astype(np.float32)

@@ -13,7 +13,7 @@ from thinkgrasp.perception.shape import Shape, Surface, describe_shape
 from thinkgrasp.perception.support import Support
 from thinkgrasp.types import Array, CameraIntrinsics, Mask, Proposal
 
-MAX_POINTS = 1500
+MAX_POINTS = 800
 MAX_SIDE_M = 0.6
 BORDER_PX = 2
 CELL_M = 0.008
@@ -77,7 +77,7 @@ def make_proposals(
                 extents_m=(float(shape.extents[0]), float(shape.extents[1]), float(shape.extents[2])),
                 T_camera_object=_pose(shape, axes, origin),
                 height_m=(float(np.percentile(local[:, 2], 2)), float(np.percentile(local[:, 2], 98.5))),
-                colors=name_colors(lab[box][inner][::3]),
+                colors=name_colors(lab[box][inner][:: max(1, int(inner.sum()) // MAX_POINTS)]),
                 shapes=shape.descriptors,
                 touches_border=border,
                 confidence=_confidence(small, seen, shape, border),

@@ -113,21 +113,20 @@ def _smallest_rectangle(hull: Float) -> _Rectangle:
 
 
 def _fit_center(p: Float, n: Float) -> tuple[Float, float, float] | None:
-    """Solve p = c + r n for centre and radius; returns them with the RMS residual, two passes without outliers."""
-    d = p.shape[1]
+    """Fit p = c + r n by least squares, twice more without outliers; return centre, radius and RMS residual."""
     keep = np.ones(len(p), bool)
-    solution = np.zeros(d + 1)
-    residual = np.zeros(len(p))
     for _ in range(3):
         if keep.sum() < 12:
             return None
-        A = np.zeros((keep.sum(), d, d + 1))
-        A[:, :, :d] = np.eye(d)
-        A[:, :, d] = n[keep]
-        solution = np.linalg.lstsq(A.reshape(-1, d + 1), p[keep].reshape(-1), rcond=None)[0]
-        residual = np.linalg.norm(p - solution[:d] - solution[d] * n, axis=1)
+        p_mean, n_mean = p[keep].mean(axis=0), n[keep].mean(axis=0)
+        spread = ((n[keep] - n_mean) ** 2).sum()
+        if spread < 1e-9:
+            return None
+        radius = float(((p[keep] - p_mean) * (n[keep] - n_mean)).sum() / spread)
+        center = p_mean - radius * n_mean
+        residual = np.linalg.norm(p - center - radius * n, axis=1)
         keep = residual < max(2.0 * float(np.median(residual)), 1e-4)
-    return solution[:d].astype(np.float64), float(solution[d]), float(np.sqrt((residual[keep] ** 2).mean()))
+    return center, radius, float(np.sqrt((residual[keep] ** 2).mean()))
 
 
 def _arc(n: Float, sector: int = 16) -> float:

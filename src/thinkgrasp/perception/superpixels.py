@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from thinkgrasp.types import Array, Mask
+
+LEARN_EVERY = 2
+"""Seeds are moved by every second pixel in both directions; all pixels are assigned at the end."""
 
 
 def superpixels(mask: Mask, points: Array, normals: Array, lab: Array, spacing_px: int = 10) -> NDArray[np.int32]:
@@ -42,25 +47,40 @@ def superpixels(mask: Mask, points: Array, normals: Array, lab: Array, spacing_p
     rows, columns = -(-mask.shape[0] // spacing_px) + 2, -(-mask.shape[1] // spacing_px) + 2
     home = (v // spacing_px + 1) * columns + u // spacing_px + 1
     offsets = np.array([di * columns + dj for di in (-1, 0, 1) for dj in (-1, 0, 1)])
-    label = home
     n = rows * columns
-    for _ in range(4):
-        count = np.bincount(label, minlength=n).astype(np.float32)
-        centers = np.stack([np.bincount(label, f, minlength=n) for f in features.T], axis=1)
-        centers = (centers / np.maximum(count, 1)[:, None]).astype(np.float32)
-        centers[count == 0] = np.inf
-        best = np.full(len(u), np.inf, np.float32)
-        label = home.copy()
-        for offset in offsets:
-            seed = home + offset
-            d = features - centers[seed]
-            distance = np.einsum("ij,ij->i", d, d)
-            closer = distance < best
-            best = np.where(closer, distance, best)
-            label = np.where(closer, seed, label)
+    learn = (v % LEARN_EVERY == 0) & (u % LEARN_EVERY == 0)
+    label = _nearest_seed(features[learn], home[learn], _means(features[learn], home[learn], n), offsets)
+    for _ in range(2):
+        label = _nearest_seed(features[learn], home[learn], _means(features[learn], label, n), offsets)
+    label = _nearest_seed(features, home, _means(features[learn], label, n), offsets)
     image = np.zeros(mask.shape, np.int64)
     image[v, u] = label + 1
     return _connected_patches(image)
+
+
+def _means(features: Array, label: NDArray[np.integer], n: int) -> Array:
+    """Mean feature (n, F) of every label; infinite where there is none."""
+    count = np.bincount(label, minlength=n)
+    total = np.stack([np.bincount(label, f, minlength=n) for f in features.T], axis=1)
+    means = (total / np.maximum(count, 1)[:, None]).astype(np.float32)
+    means[count == 0] = np.inf
+    return means
+
+
+def _nearest_seed(
+    features: Array, home: NDArray[np.integer], centers: Array, offsets: NDArray[np.integer]
+) -> NDArray[np.integer]:
+    """Label (N,) of the nearest of the seeds around each pixel's home."""
+    best = np.full(len(home), np.inf, np.float32)
+    label = home.copy()
+    for offset in offsets:
+        seed = home + offset
+        d = features - centers[seed]
+        distance = np.einsum("ij,ij->i", d, d)
+        closer = distance < best
+        best[closer] = distance[closer]
+        label[closer] = seed[closer]
+    return label
 
 
 def _connected_patches(image: NDArray[np.int64]) -> NDArray[np.int32]:
@@ -78,17 +98,14 @@ def _connected_patches(image: NDArray[np.int64]) -> NDArray[np.int32]:
 
 def _label_equal(image: NDArray[np.integer]) -> NDArray[np.int32]:
     """Label the 4-connected areas of equal non-zero value, 1..n."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    index = np.arange(image.size).reshape(image.shape)
-    same_h = (image[:, 1:] == image[:, :-1]) & (image[:, 1:] > 0)
-    same_v = (image[1:] == image[:-1]) & (image[1:] > 0)
+    used = image > 0
+    index = np.cumsum(used.ravel()).reshape(image.shape) - 1
+    n = int(used.sum())
+    same_h = (image[:, 1:] == image[:, :-1]) & used[:, 1:]
+    same_v = (image[1:] == image[:-1]) & used[1:]
     a = np.concatenate([index[:, 1:][same_h], index[1:][same_v]])
     b = np.concatenate([index[:, :-1][same_h], index[:-1][same_v]])
-    graph = coo_matrix((np.ones(len(a), bool), (a, b)), shape=(image.size, image.size))
-    _, component = connected_components(graph, directed=False)
-    flat = component[image.ravel() > 0]
-    out = np.zeros(image.size, np.int32)
-    out[image.ravel() > 0] = np.unique(flat, return_inverse=True)[1] + 1
-    return out.reshape(image.shape)
+    _, component = connected_components(coo_matrix((np.ones(len(a), bool), (a, b)), shape=(n, n)), directed=False)
+    out = np.zeros(image.shape, np.int32)
+    out[used] = component + 1
+    return out
