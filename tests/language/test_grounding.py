@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from fakes.household import household, scene, thing
 
-from thinkgrasp.language.grounding import describe, ground, guess_names
+from thinkgrasp.errors import ConfigError
+from thinkgrasp.language.grounding import describe, ground, plain_names
 from thinkgrasp.language.places import Layout
 from thinkgrasp.language.query import parse
+from thinkgrasp.language.weights import Weights
 from thinkgrasp.types import Obstruction, Scene
 
 NAVY_MUG, WHITE_MUG, CRACKERS, BOWL, SOUP, BANANA, MUSTARD, DRILL, APPLE, MARKER = range(1, 11)
@@ -111,12 +113,12 @@ def test_without_proposals_or_understanding_there_is_no_match(table: Scene) -> N
     assert ground(table, parse("xyzzy")).matches == ()
 
 
-def test_names_are_guessed_from_what_fits_best(table: Scene) -> None:
-    names = guess_names(table)
-    assert names[BANANA][0] == "banana"
-    assert names[SOUP][0] == "tomato soup can"
-    assert names[CRACKERS][0] == "cracker box"
-    assert guess_names(scene([])) == {}
+def test_only_sure_names_are_used_for_what_nobody_named(table: Scene) -> None:
+    names = plain_names(table)
+    assert names[BANANA] == "yellow banana"
+    assert names[CRACKERS] == "red cracker box"
+    assert names[BOWL] == "green round object"
+    assert plain_names(scene([])) == {}
 
 
 def test_describe_uses_colour_and_shape(table: Scene) -> None:
@@ -162,3 +164,55 @@ def test_under_is_the_reverse_of_on() -> None:
 def test_between() -> None:
     view = scene([cube(1, (-0.2, 0)), cube(2, (0.2, 0)), cube(3, (0.02, 0.01)), cube(4, (0.3, 0.2))])  # pyright: ignore[reportArgumentType]
     assert int(Layout.of(view).between_degree(0, 1).argmax()) == 2
+
+
+@pytest.mark.parametrize(
+    "absent",
+    [
+        "a pineapple",
+        "a lemon",
+        "an orange",
+        "a pear",
+        "a spoon",
+        "a fork",
+        "scissors",
+        "a stapler",
+        "a computer mouse",
+        "a phone",
+        "a plate",
+        "a wine glass",
+        "the purple mug",
+        "the green apple",
+    ],
+)
+def test_what_is_not_there_is_not_accepted(table: Scene, absent: str) -> None:
+    assert ground(table, parse(absent)).fitting() == ()
+
+
+def test_a_thin_long_thing_is_a_spoon_and_a_thick_one_is_not() -> None:
+    spoon = thing(1, (0, 0), (0.18, 0.04, 0.02), {"grey": 0.9}, {"elongated": 1.0})
+    figure = thing(2, (0.2, 0), (0.12, 0.08, 0.06), {"grey": 0.9}, {})
+    matches = ground(scene([spoon, figure]), parse("a spoon")).fitting()
+    assert [m.mark for m in matches] == [1]
+
+
+def test_what_lies_does_not_stand_on_its_end() -> None:
+    lying = thing(1, (0, 0), (0.1, 0.06, 0.035), {"black": 0.9}, {"box-like": 0.6, "round": 0.4})
+    standing = thing(2, (0.2, 0), (0.04, 0.06, 0.1), {"black": 0.9}, {"box-like": 0.6, "round": 0.4})
+    best = ground(scene([lying, standing]), parse("a computer mouse")).matches
+    assert best[0].mark == 1
+    assert best[0].score > 1.8 * best[1].score
+
+
+def test_a_colour_that_was_said_must_hold(table: Scene) -> None:
+    strict, mild = Weights(said_color=0.9), Weights(said_color=0.0)
+    query = parse("the brown banana")
+    score = {w: next(m.score for m in ground(table, query, w).matches if m.mark == BANANA) for w in (strict, mild)}
+    assert score[strict] < 0.6 * score[mild]
+
+
+def test_weights_must_be_finite_and_not_negative() -> None:
+    with pytest.raises(ConfigError, match="rivalry"):
+        Weights(rivalry=-1.0)
+    with pytest.raises(ConfigError, match="min_score"):
+        Weights(min_score=float("nan"))

@@ -90,3 +90,23 @@ def test_a_name_must_not_occur_twice() -> None:
     row = ["x", "", "", "", [1, 2], [1, 2]]
     with pytest.raises(ConfigError, match="occurs twice"):
         parse_knowledge({"group": {"rows": [row, row]}})
+
+
+def test_commonness_must_name_known_objects() -> None:
+    row = ["mug", "", "", "hollow", [80, 145], [65, 105]]
+    with pytest.raises(ConfigError, match="commonness names unknown objects: mugg"):
+        parse_knowledge({"commonness": {"everywhere": ["mugg"]}, "drinkware": {"rows": [row]}})
+    known = parse_knowledge({"commonness": {"seldom": ["mug"]}, "drinkware": {"rows": [row]}})
+    assert known.objects["mug"].common < 0.8
+
+
+def test_the_middle_side_follows_from_roundness_unless_said() -> None:
+    rows = [
+        ["can", "", "", "cylindrical", [50, 250], [35, 120]],
+        ["mug", "", "", "hollow", [80, 145], [65, 105], {"middle": [65, 115]}],
+        ["bag", "", "", "", [80, 450], [15, 250]],
+    ]
+    objects = parse_knowledge({"things": {"rows": rows}}).objects
+    assert objects["can"].middle_m == pytest.approx((0.035, 0.156))
+    assert objects["mug"].middle_m == pytest.approx((0.065, 0.115))
+    assert objects["bag"].middle_m == pytest.approx((0.015, 0.45))

@@ -75,6 +75,12 @@ def test_piles_are_stacks_or_four_in_contact() -> None:
     assert piles(scene(row)) == []
 
 
+def test_one_thing_on_another_is_no_pile_that_hides_anything() -> None:
+    pair = scene([block(1), block(2, raised=0.05)], [Obstruction("rests_on", 2, 1, 0.0, "m")])
+    assert piles(pair) == []
+    assert likely_hider(pair, 0.05, 0.02, in_piles_only=True) is None
+
+
 def test_the_free_thing_on_top_of_a_pile_hides_the_goal() -> None:
     hider = likely_hider(tower(), 0.08, 0.03, in_piles_only=True)
     assert hider is not None

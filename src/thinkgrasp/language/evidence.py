@@ -185,10 +185,10 @@ def fit_objects(proposals: Sequence[Proposal], weights: Weights = DEFAULT_WEIGHT
     slack = max(weights.size_slack, 1e-3)
     size = _within(extents[:, 0], k.longest_m, 0.45 * slack, 0.25 * slack)
     size = size * _within(extents[:, 1], k.middle_m, 0.6 * slack, 0.35 * slack)
-    size = size * _within(extents[:, 2], k.shortest_m, 0.8 * slack, 0.35 * slack)
+    size = size * _within(extents[:, 2], k.shortest_m, 0.8 * slack, 0.42 * slack)
     slender = k.shortest_m / np.maximum(k.longest_m, 1e-3)
     slender = np.stack([slender.min(axis=1) / 1.2, slender.max(axis=1) * 1.2], axis=1)
-    size = size * _within(extents[:, 2] / np.maximum(extents[:, 0], 1e-3), slender, 0.6 * slack, 0.45 * slack)
+    size = size * _within(extents[:, 2] / np.maximum(extents[:, 0], 1e-3), slender, 0.6 * slack, 0.6 * slack)
     upright = np.array([_stands(p) for p in proposals])
     size = size * (1 - STANDING * k.lies[:, None] * upright)
     odd, indifferent = weights.odd_color_fit, weights.any_color_fit

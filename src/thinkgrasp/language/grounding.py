@@ -24,12 +24,14 @@ Float = NDArray[np.float64]
 
 MIN_SCORE = DEFAULT_WEIGHTS.min_score
 MIN_LANDMARK_SCORE = 0.3
-NEAR_BEST = 0.6
+NEAR_BEST = 0.55
 """Things with this share of the best score compete on place and size."""
 MIN_RELATION = 0.12
 """Below this nobody would say that the relation holds."""
 STANDS_OUT = 2.5
 """Ratio of the best score to the next from which on a thing stands out."""
+SURE_FIT, SURE_LEAD = 0.8, 0.85
+"""A thing nobody named is called by a name that fits this well, while no other comes near this share of it."""
 A_KIND_OF = 0.85
 """Weight of a special kind where the general name was said, so that usual colours of kinds do not decide."""
 SECOND_USE = 0.75
@@ -117,13 +119,25 @@ def describe(proposal: Proposal) -> str:
     return " ".join(w for w in (color, shape, "object") if w)
 
 
-def guess_names(scene: Scene) -> dict[int, tuple[str, float]]:
-    """Return the known object that each proposal fits best, with its degree, by mark."""
+def plain_names(scene: Scene) -> dict[int, str]:
+    """Return a readable name per mark: the known object where only that one fits well, else colour and shape."""
     if not scene.proposals:
         return {}
     fits = fit_objects(stand_down(scene).proposals)
-    best = (fits.all * knowledge_arrays().common[:, None]).argmax(axis=0)
-    return {p.mark: (fits.names[best[i]], float(fits.all[best[i], i])) for i, p in enumerate(scene.proposals)}
+    likely = fits.all * knowledge_arrays().common[:, None]
+    names: dict[int, str] = {}
+    for i, p in enumerate(scene.proposals):
+        best = int(likely[:, i].argmax())
+        kin = _kin(frozenset([fits.names[best]]))
+        rival = max((float(v) for n, v in zip(fits.names, likely[:, i], strict=True) if n not in kin), default=0.0)
+        sure = likely[best, i] >= SURE_FIT and rival <= SURE_LEAD * likely[best, i]
+        names[p.mark] = _colored(p, fits.names[best]) if sure else describe(p)
+    return names
+
+
+def _colored(proposal: Proposal, name: str) -> str:
+    color = proposal.colors[0][0] if proposal.colors else ""
+    return name if color in name.split() else f"{color} {name}".strip()
 
 
 @lru_cache(maxsize=256)
@@ -169,7 +183,9 @@ class _View:
 
     def score(self, wanted: Wanted) -> _Scored:
         n = len(self.things)
-        out = _Scored(np.clip(self.confidence, 0.05, 1) ** self.weights.confidence, [[] for _ in range(n)], [None] * n, [])
+        out = _Scored(
+            np.clip(self.confidence, 0.05, 1) ** self.weights.confidence, [[] for _ in range(n)], [None] * n, []
+        )
         if wanted.has_noun:
             self._noun(wanted, out)
         if wanted.colors:

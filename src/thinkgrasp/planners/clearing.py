@@ -19,6 +19,8 @@ MIN_BLOCKERS = 2
 MIN_CONFIDENCE = 0.25
 PILE_SIZE = 4
 """So many things in contact are a pile, even when none is seen to rest on another."""
+STACKED_PILE_SIZE = 3
+"""So many are one where something rests on another; a cup on a box hides nothing that would not show."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,7 @@ def piles(scene: Scene) -> list[set[int]]:
         for mark in merged:
             groups[mark] = merged
     unique = {min(g): g for g in groups.values()}
-    return [g for _, g in sorted(unique.items()) if len(g) > 1 and (g & stacked or len(g) >= PILE_SIZE)]
+    return [g for _, g in sorted(unique.items()) if len(g) >= (STACKED_PILE_SIZE if g & stacked else PILE_SIZE)]
 
 
 def _covers(thing: Proposal, longest_m: float, shortest_m: float) -> bool:

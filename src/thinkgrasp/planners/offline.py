@@ -12,9 +12,8 @@ from thinkgrasp.language.grounding import (
     Grounding,
     Match,
     candidates,
-    describe,
     ground,
-    guess_names,
+    plain_names,
 )
 from thinkgrasp.language.knowledge import KnownObject, Part, load_knowledge
 from thinkgrasp.language.query import parse
@@ -31,7 +30,6 @@ MAX_FAILURES = 3
 """After so many failed attempts a thing in the way is left where it is."""
 CLOSE_SCORE = 0.85
 """Among matches this close to the best one, a free one is taken before an obstructed one."""
-MIN_NAME_FIT = 0.55
 MAX_LISTED = 8
 
 
@@ -262,16 +260,9 @@ def _without_failures(grounding: Grounding, scene: Scene, memory: Memory) -> Gro
 
 
 def _names(scene: Scene, grounding: Grounding, min_score: float) -> dict[int, str]:
-    """Return a readable name per mark: as asked for, else what it fits well, else colour and shape."""
-    guesses = guess_names(scene)
+    """Return a readable name per mark: as asked for, else a plain one."""
     asked = {m.mark: m.label for m in grounding.fitting(min_score)}
-    names: dict[int, str] = {}
-    for p in scene.proposals:
-        guess, fit = guesses[p.mark]
-        color = p.colors[0][0] if p.colors else ""
-        guessed = guess if color in guess.split() else f"{color} {guess}".strip()
-        names[p.mark] = asked.get(p.mark) or (guessed if fit >= MIN_NAME_FIT else describe(p))
-    return names
+    return plain_names(scene) | asked
 
 
 def _why(edge: Obstruction, names: dict[int, str]) -> str:
