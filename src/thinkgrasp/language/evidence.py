@@ -36,6 +36,7 @@ LATER_CHOICE = 0.25
 """What each place in a list of alternative shapes takes away."""
 UNEXPECTED_SHAPE = np.array([0.35, 0.35, 0.35, 0.3, 0.35, 0.5])
 """What an unexpected shape takes away, per descriptor; a hollow is rarely seen where there is none."""
+UNSEEN_FOOT_M = 0.02
 STANDING = 0.6
 """What a thing that never stands on its end loses where one does."""
 IRREGULAR_FIT = (0.75, 0.6)
@@ -86,6 +87,8 @@ class KnowledgeArrays:
     """(N, 2)"""
     shortest_m: Float
     """(N, 2)"""
+    rise: Float
+    """(N, 2)"""
     lies: Float
     """(N,) 1 for what does not stand on its end."""
     common: Float
@@ -119,6 +122,7 @@ def _arrays(knowledge: Knowledge) -> KnowledgeArrays:
         longest_m=np.array([o.longest_m for o in objects]),
         middle_m=np.array([o.middle_m for o in objects]),
         shortest_m=np.array([o.shortest_m for o in objects]),
+        rise=np.array([o.rise for o in objects]),
         lies=np.array([float(o.lies) for o in objects]),
         common=np.array([o.common for o in objects]),
     )
@@ -191,11 +195,20 @@ def fit_objects(proposals: Sequence[Proposal], weights: Weights = DEFAULT_WEIGHT
     size = size * _within(extents[:, 2] / np.maximum(extents[:, 0], 1e-3), slender, 0.6 * slack, 0.6 * slack)
     upright = np.array([_stands(p) for p in proposals])
     size = size * (1 - STANDING * k.lies[:, None] * upright)
+    rise = np.array([_rise(p) for p in proposals])
+    open_top = np.clip(shapes[:, HOLLOW] / 0.5, 0, 1)
+    size = size * (1 - open_top + open_top * _within(rise, k.rise, 0.4 * slack, 0.4 * slack))
     odd, indifferent = weights.odd_color_fit, weights.any_color_fit
     usual = odd + (1 - odd) * np.clip((k.colors @ (colors @ _SHADED).T - 0.05) / 0.6, 0, 1)
     telling = np.maximum(1 - 0.05 * np.maximum(k.n_colors - 1, 0), indifferent)
     color = np.where(k.n_colors[:, None] == 0, indifferent, usual * telling[:, None])
     return ObjectFits(k.names, shape * size, color)
+
+
+def _rise(proposal: Proposal) -> float:
+    """Return the height over the middle side; the lowest few centimetres are often not seen."""
+    low, high = proposal.height_m
+    return (high - (low if low > UNSEEN_FOOT_M else 0.0)) / max(proposal.extents_m[1], 1e-3)
 
 
 def _stands(proposal: Proposal) -> float:

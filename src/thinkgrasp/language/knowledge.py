@@ -46,6 +46,8 @@ class KnownObject:
     longest_m: tuple[float, float]
     shortest_m: tuple[float, float]
     middle_m: tuple[float, float]
+    rise: tuple[float, float]
+    """Height over the middle side of an open vessel that stands; (0, inf) for other things."""
     lies: bool
     """Whether it does not stand on its end."""
     common: float
@@ -149,6 +151,7 @@ def _parse_row(group: str, shared: Mapping[str, Any], row: list[Any], commonness
         longest_m=ranges[0],
         shortest_m=ranges[1],
         middle_m=_metres(where, own["middle"]) if "middle" in own else middle,
+        rise=_range(where, own["rise"]) if "rise" in own else (0.0, float("inf")),
         lies=bool(own.get("lies", False)),
         common=commonness.get(name, COMMONNESS["usual"]),
         uses=tuple(u for u in uses if not u.endswith("?")),
@@ -163,6 +166,13 @@ def _metres(where: str, range_mm: list[float]) -> tuple[float, float]:
     if not 0 <= low <= high <= 2000:
         raise ConfigError(f"{where}: a size range must be ordered and within 0..2000 mm, got {range_mm}")
     return low / 1000, high / 1000
+
+
+def _range(where: str, ratio: list[float]) -> tuple[float, float]:
+    low, high = ratio
+    if not 0 <= low <= high:
+        raise ConfigError(f"{where}: a rise must be ordered and not negative, got {ratio}")
+    return low, high
 
 
 def _known(where: str, what: str, words: Iterable[str], allowed: tuple[str, ...]) -> tuple[str, ...]:
