@@ -59,7 +59,7 @@ def load(folder: Path) -> tuple[dict[str, Scene], dict[str, list[Sentence]]]:
 
 def judge(scene: Scene, sentences: list[Sentence], weights: Weights) -> dict[str, tuple[int, int]]:
     """Return right and asked per set."""
-    counts: dict[str, tuple[int, int]] = {name: (0, 0) for name in SETS}
+    counts: dict[str, tuple[int, int]] = dict.fromkeys(SETS, (0, 0))
     for sentence in sentences:
         best = next(iter(ground(scene, sentence.query, weights).fitting(weights.min_score)), None)
         if best is None or not sentence.boxes:
