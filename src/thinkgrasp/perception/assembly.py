@@ -17,6 +17,8 @@ from thinkgrasp.perception.support import Support
 from thinkgrasp.types import Array, Mask
 
 MIN_AREA_M2 = 1.2e-4
+CONCAVE_BULGE = -0.3
+"""Below, a body is surely seen from inside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +142,10 @@ def _is_interior(inner: _Body, outer: _Body, border: _Border) -> bool:
     if shared < (0.1 if inner.bulge < 0 else 0.3) * border.total or inner.bulge > 0.55:
         return False
     circle = outer.circle
-    if circle is None or inner.top > outer.top + 0.02 or inner.bottom < outer.bottom - 0.01:
+    if circle is None or inner.top > outer.top + 0.02:
         return False
+    if inner.bulge > CONCAVE_BULGE and inner.bottom < outer.bottom - 0.01:
+        return False  # a concave one may reach lower than what is seen of its outside: a bowl that overhangs
     within = np.linalg.norm(inner.xy - circle.center, axis=1) < 1.15 * circle.radius
     return float(within.mean()) > 0.65
 
@@ -155,13 +159,13 @@ def _is_flank(flank: _Body, body: _Body, border: _Border) -> bool:
 
 def _is_attached(part: _Body, body: _Body, border: _Border) -> bool:
     """Whether `part` (a handle, a lid, a crumb) hangs on `body`: small, in contact, and not standing on the support."""
-    if border.contact < 4 or border.contact < border.in_front + border.behind:
+    if border.contact < 4:
         return False
-    if part.pixels < 0.08 * body.pixels:
-        return True
     floats = part.bottom > 0.012 and part.bottom > body.bottom + 0.006
     alike = float(np.linalg.norm((part.lab - body.lab) * [0.4, 1, 1])) < 12
-    return part.pixels < 0.35 * body.pixels and floats and alike
+    if border.contact < border.in_front + border.behind:  # a handle stands out except where it is joined
+        return part.pixels < 0.25 * body.pixels and floats and alike
+    return part.pixels < 0.08 * body.pixels or (part.pixels < 0.35 * body.pixels and floats and alike)
 
 
 def _is_continued(part: _Body, body: _Body, border: _Border) -> bool:
