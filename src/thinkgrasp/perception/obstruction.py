@@ -15,6 +15,8 @@ from thinkgrasp.types import Array, Mask, Obstruction, Proposal
 
 MIN_HIDING_PX = 12
 RESTING_GAP_M = 0.02
+UNSEEN_SHARE = 0.25
+"""Of a thing's visible height: so much of its underside may be hidden by its own bulge (a ball in a bowl)."""
 FINGER_ROOM_M = 0.022
 """Room that one finger with its clearance needs beside a thing."""
 FINGER_DEPTH_M = 0.025
@@ -96,7 +98,8 @@ def _resting_gap(a: _Points, b: _Points) -> float | None:
     if over.mean() < 0.3:
         return None
     gap = float(np.median(a.height[low][over] - b.height[nearest[over]]))
-    return gap if -0.06 < gap < RESTING_GAP_M else None
+    unseen = UNSEEN_SHARE * (a.top - bottom)
+    return gap if -0.06 < gap < RESTING_GAP_M + unseen else None
 
 
 def _blocking(b: int, bodies: list[_Points], proposals: tuple[Proposal, ...]) -> list[Obstruction]:

@@ -115,6 +115,7 @@ def _smallest_rectangle(hull: Float) -> _Rectangle:
 def _fit_center(p: Float, n: Float) -> tuple[Float, float, float] | None:
     """Fit p = c + r n by least squares, twice more without outliers; return centre, radius and RMS residual."""
     keep = np.ones(len(p), bool)
+    center, radius, residual = np.zeros(p.shape[1]), 0.0, np.zeros(len(p))
     for _ in range(3):
         if keep.sum() < 12:
             return None
@@ -152,8 +153,8 @@ def circle_from_normals(xy: Float, n: Float) -> Circle | None:
 
 
 def _agrees(circle: Circle, seen: _Rectangle) -> bool:
-    """Whether a circle of that size can carry what is seen: as broad as the longer visible side."""
-    return 0.75 < 2 * circle.radius / float(seen.sides.max()) < 1.3
+    """Whether a circle of that size can carry what is seen: about as broad as the longer side, but for a handle."""
+    return 0.68 < 2 * circle.radius / float(seen.sides.max()) < 1.3
 
 
 def _lying_cylinder(p: Float, n: Float, seen: _Rectangle) -> Circle | None:
@@ -245,6 +246,7 @@ def _descriptors(
     }
     if ball is not None:
         degrees["cylindrical"] *= 1 - 0.6 * ball.degree
+    degrees["round"] = max(degrees["round"], 0.9 * degrees["hollow"] * _ramp(circular, 0.86, 0.94))
     degrees["box-like"] *= 1 - 0.7 * max(degrees["cylindrical"], degrees["round"], degrees["hollow"])
     ranked = sorted(((k, round(v, 3)) for k, v in degrees.items()), key=lambda kv: -kv[1])
     return tuple((k, v) for k, v in ranked if v >= 0.1)
