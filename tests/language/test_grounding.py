@@ -170,6 +170,7 @@ def test_between() -> None:
     "absent",
     [
         "a pineapple",
+        "a hammer",
         "a lemon",
         "an orange",
         "a pear",

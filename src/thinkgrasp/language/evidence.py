@@ -91,6 +91,8 @@ class KnowledgeArrays:
     """(N, 2)"""
     lies: Float
     """(N,) 1 for what does not stand on its end."""
+    natural: NDArray[np.bool_]
+    """(N,) a common fruit or vegetable in one or two colours, not ball-shaped: nothing else looks like it."""
     common: Float
     """(N,) how usual each object is."""
 
@@ -124,8 +126,14 @@ def _arrays(knowledge: Knowledge) -> KnowledgeArrays:
         shortest_m=np.array([o.shortest_m for o in objects]),
         rise=np.array([o.rise for o in objects]),
         lies=np.array([float(o.lies) for o in objects]),
+        natural=np.array([_natural(o) for o in objects]),
         common=np.array([o.common for o in objects]),
     )
+
+
+def _natural(obj: KnownObject) -> bool:
+    grown = "fruit" in obj.categories or "vegetable" in obj.categories
+    return grown and 1 <= len(obj.colors) <= 2 and "round" not in obj.shapes and obj.common == 1
 
 
 def _choice(obj: KnownObject, shape: str) -> float:

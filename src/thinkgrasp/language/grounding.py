@@ -32,6 +32,8 @@ STANDS_OUT = 2.5
 """Ratio of the best score to the next from which on a thing stands out."""
 SURE_FIT, SURE_LEAD = 0.8, 0.85
 """A thing nobody named is called by a name that fits this well, while no other comes near this share of it."""
+NATURAL_FIT = 0.8
+"""From here on a thing begins to be unmistakable that has its form and its colour from nature, as a banana."""
 A_KIND_OF = 0.85
 """Weight of a special kind where the general name was said, so that usual colours of kinds do not decide."""
 SECOND_USE = 0.75
@@ -241,6 +243,8 @@ class _View:
         w = self.weights
         doubt = w.rivalry if with_color and not wanted.shapes else w.rivalry_described
         share = (degree / np.maximum(np.maximum(degree, w.rival_discount * rival), 1e-9)) ** doubt
+        if with_color:
+            share = share * (1 - w.natural * self._natural(others))
         names = list(weights)
         for i, p in enumerate(self.things):
             out.names[i] = names[best[i]]
@@ -251,6 +255,12 @@ class _View:
                 out.reasons[i].append(f"rather a {self.fits.names[others[rival_at[i]]]} {rival[i]:.2f}")
             out.reasons[i].append(f"{p.extents_m[0]:.2f} m long")
         out.score[:] = out.score * degree * share
+
+    def _natural(self, others: NDArray[np.intp]) -> Float:
+        """Return (P,) how surely a thing is one of these others that nature made in one form and colour."""
+        own = others[knowledge_arrays().natural[others]]
+        fit = self.fits.all[own].max(axis=0, initial=0.0)
+        return np.clip((fit - NATURAL_FIT) / 0.1, 0, 1)
 
     def _size(self, size: str, score: Float) -> Float:
         lay = self.layout

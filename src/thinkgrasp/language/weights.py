@@ -28,6 +28,8 @@ class Weights:
     """The same where a colour or shape was said too: who describes a thing has most likely seen it."""
     rival_discount: float = 0.9
     """The name that was said has this advantage over all those that were not."""
+    natural: float = 0.5
+    """What a match loses where the thing has the form and the colour of a fruit or vegetable that was not asked for."""
     any_color_fit: float = 0.75
     """Colour says little of a thing that comes in any colour."""
     odd_color_fit: float = 0.15
