@@ -164,8 +164,15 @@ def _is_attached(part: _Body, body: _Body, border: _Border) -> bool:
     floats = part.bottom > 0.012 and part.bottom > body.bottom + 0.006
     alike = float(np.linalg.norm((part.lab - body.lab) * [0.4, 1, 1])) < 12
     if border.contact < border.in_front + border.behind:  # a handle stands out except where it is joined
-        return part.pixels < 0.25 * body.pixels and floats and alike
+        return part.pixels < 0.25 * body.pixels and floats and alike and _is_beside(part, body)
     return part.pixels < 0.08 * body.pixels or (part.pixels < 0.35 * body.pixels and floats and alike)
+
+
+def _is_beside(part: _Body, body: _Body) -> bool:
+    """Whether most of `part` lies outside the ellipse around the body's footprint."""
+    low, high = body.xy.min(axis=0), body.xy.max(axis=0)
+    offset = (part.xy - (low + high) / 2) / np.maximum((high - low) / 2, 1e-6)
+    return float((np.linalg.norm(offset, axis=1) > 1).mean()) > 0.5
 
 
 def _is_continued(part: _Body, body: _Body, border: _Border) -> bool:
