@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fakes.surfaces import HEIGHT, WIDTH, cylinder, pixels, plane
 
-from thinkgrasp.perception.edges import STEP_M, Edges, find_edges, tabulate
+from thinkgrasp.perception.edges import STEP_M, find_edges, tabulate
 from thinkgrasp.perception.morphology import Labels
 from thinkgrasp.types import Array, Mask
 
@@ -48,9 +48,9 @@ def test_a_step_smaller_than_sensor_noise_is_contact() -> None:
     assert not front.any()
 
 
-@pytest.mark.parametrize("normal", [(0, -1, -0.25), (0.9, 0, -0.3), (0.6, -0.7, -0.4)])
+@pytest.mark.parametrize("normal", [(0, -1, -1), (0.8, 0, -0.9), (0.6, -0.7, -1)])
 def test_a_slanted_plane_has_no_step(normal: tuple[float, float, float]) -> None:
-    """Depth between neighbours differs by centimetres here; the tangent plane explains it."""
+    """The tangent plane explains the difference, unless the surface is seen at such a slant that it may be smear."""
     points, normals = plane(normal, (0, 0, 0.7))
     visible = (points[..., 2] > 0.2) & (points[..., 2] < 2.0)
     for first in (LEFT, TOP):
@@ -115,10 +115,3 @@ def test_one_label_has_no_borders() -> None:
     contact, front = tabulate(edges, 1)
     assert not contact.any()
     assert not front.any()
-
-
-def test_table_counts_both_orders_of_a_pair() -> None:
-    edges = Edges(np.array([0, 1, 1, 2]), np.array([1, 0, 2, 0]), np.array([0, 0, 1, -1], np.int8), np.zeros(4, bool))
-    contact, front = tabulate(edges, 3)
-    np.testing.assert_array_equal(contact, [[0, 2, 0], [2, 0, 0], [0, 0, 0]])
-    np.testing.assert_array_equal(front, [[0, 0, 1], [0, 0, 1], [0, 0, 0]])
