@@ -146,8 +146,8 @@ def test_a_fifth_of_the_depth_missing_loses_no_thing() -> None:
 
 
 def test_an_empty_table_has_no_things() -> None:
-    for eye in ((0.0, -0.5, 0.5), (0.0, -0.1, 0.8)):
-        scene = perceive(view(eye=eye))
+    for eye, size in (((0.0, -0.5, 0.5), (640, 480)), ((0.0, -0.1, 0.8), (320, 240))):
+        scene = perceive(view(eye=eye, size=size))
         assert scene.support is not None
         assert scene.proposals == ()
         assert scene.obstructions == ()
