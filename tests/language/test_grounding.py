@@ -205,6 +205,15 @@ def test_what_lies_does_not_stand_on_its_end() -> None:
     assert best[0].score > 1.8 * best[1].score
 
 
+def test_a_name_without_features_is_left_to_what_nothing_else_explains(table: Scene) -> None:
+    grounding = ground(table, parse("the glove"))
+    assert grounding.fitting() == ()
+    assert "neither a colour nor a shape is usual for 'glove'" in grounding.notes[0]
+    odd = thing(11, (0.4, 0.3), (0.2, 0.12, 0.05), {"pink": 0.5, "green": 0.5}, {})
+    assert [m.mark for m in ground(scene([*table.proposals, odd]), parse("the glove")).fitting()] == [11]
+    assert ground(table, parse("the blue glove")).notes == ()
+
+
 def test_a_colour_that_was_said_must_hold(table: Scene) -> None:
     strict, mild = Weights(said_color=0.9), Weights(said_color=0.0)
     query = parse("the brown banana")

@@ -91,6 +91,8 @@ class KnowledgeArrays:
     """(N, 2)"""
     lies: Float
     """(N,) 1 for what does not stand on its end."""
+    featureless: NDArray[np.bool_]
+    """(N,) neither colour nor shape is usual: only size speaks for it."""
     natural: NDArray[np.bool_]
     """(N,) a common fruit or vegetable in one or two colours, not ball-shaped: nothing else looks like it."""
     common: Float
@@ -126,6 +128,7 @@ def _arrays(knowledge: Knowledge) -> KnowledgeArrays:
         shortest_m=np.array([o.shortest_m for o in objects]),
         rise=np.array([o.rise for o in objects]),
         lies=np.array([float(o.lies) for o in objects]),
+        featureless=np.array([not (o.colors or o.shapes or o.either_shapes) for o in objects]),
         natural=np.array([_natural(o) for o in objects]),
         common=np.array([o.common for o in objects]),
     )

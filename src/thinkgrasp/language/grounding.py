@@ -32,6 +32,8 @@ STANDS_OUT = 2.5
 """Ratio of the best score to the next from which on a thing stands out."""
 SURE_FIT, SURE_LEAD = 0.8, 0.85
 """A thing nobody named is called by a name that fits this well, while no other comes near this share of it."""
+EXPLAINED = (0.45, 0.6)
+"""Between these fits another name begins to explain a thing, and does."""
 NATURAL_FIT = 0.8
 """From here on a thing begins to be unmistakable that has its form and its colour from nature, as a banana."""
 A_KIND_OF = 0.85
@@ -181,6 +183,11 @@ class _View:
         self.layout = Layout.of(scene)
         self.fits: ObjectFits = fit_objects(self.things, weights)
         self.index = {name: i for i, name in enumerate(self.fits.names)}
+        k = knowledge_arrays()
+        explained = (self.fits.all * k.common[:, None])[~k.featureless].max(axis=0, initial=0.0)
+        low, high = EXPLAINED
+        self.unexplained = 1 - 0.5 * np.clip((explained - low) / (high - low), 0, 1)
+        """(P,) what is left of a name that has no features, the less the better another name explains the thing."""
         self.confidence = np.array([p.confidence for p in self.things])
 
     def score(self, wanted: Wanted) -> _Scored:
@@ -233,6 +240,11 @@ class _View:
         with_color = not wanted.colors
         fits = self.fits.all if with_color else self.fits.form
         mine = fits[rows] * np.array(list(weights.values()))[:, None]
+        if with_color and not wanted.shapes:
+            featureless = knowledge_arrays().featureless[rows]
+            mine = mine * np.where(featureless[:, None], self.unexplained, 1.0)
+            if wanted.names and featureless.all():
+                out.notes.append(f"neither a colour nor a shape is usual for {wanted.said!r}, say one to be sure")
         literal = np.array([1.15 if name in wanted.names else 1.0 for name in weights])
         best = (mine * literal[:, None]).argmax(axis=0)
         degree = mine.max(axis=0)
