@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from thinkgrasp.perception.color import color_memberships
-from thinkgrasp.perception.edges import count_pairs, find_edges, tabulate
+from thinkgrasp.perception.edges import Edges, count_pairs, find_edges, tabulate
 from thinkgrasp.perception.foreground import Foreground
-from thinkgrasp.perception.morphology import Labels, nearest_area
+from thinkgrasp.perception.morphology import Labels, nearest_area, pixels_by_label
 from thinkgrasp.perception.shape import Circle, circle_from_normals
 from thinkgrasp.perception.support import Support
-from thinkgrasp.types import Array, Mask
+from thinkgrasp.types import Array
 
 MIN_AREA_M2 = 1.2e-4
 CONCAVE_BULGE = -0.3
@@ -52,7 +52,7 @@ class _Body:
 
 def assemble(
     labels: Labels, foreground: Foreground, points: Array, normals: Array, lab: Array, support: Support
-) -> Labels:
+) -> tuple[Labels, Edges]:
     """Join what one thing was cut into, and drop what is no thing.
 
     Args:
@@ -64,22 +64,22 @@ def assemble(
         support: The surface.
 
     Returns:
-        (H, W) labels 1..m; pixels without depth are included where they belong to a thing.
+        Labels (H, W) 1..m, with pixels without depth where they belong to a thing, and the borders of the groups.
     """
-    labels = _join(labels, points, normals, lab, support)
+    edges = find_edges(labels, points, normals, reach_px=3, blind_reach_px=15)
+    labels = _join(labels, edges, points, normals, lab, support)
     labels = _drop_artefacts(labels, foreground, points, normals)
-    return _claim_missing(labels, foreground, lab)
+    return _claim_missing(labels, foreground, lab), edges
 
 
-def _join(labels: Labels, points: Array, normals: Array, lab: Array, support: Support) -> Labels:
+def _join(labels: Labels, edges: Edges, points: Array, normals: Array, lab: Array, support: Support) -> Labels:
     n = int(labels.max())
     if n < 2:
         return labels
-    edges = find_edges(labels, points, normals, reach_px=3, blind_reach_px=15)
     contact, front = tabulate(edges, n)
     blind = count_pairs(edges.a[edges.blind], edges.b[edges.blind], n)
     blind = blind + blind.T
-    bodies = [_body(labels == i + 1, points, normals, lab, support) for i in range(n)]
+    bodies = [_body(own, points, normals, lab, support) for own in pixels_by_label(labels)]
     group = np.arange(n)
     for i in np.argsort([b.pixels for b in bodies], kind="stable"):
         meets = contact[i] + front[i] + front[:, i]
@@ -109,10 +109,8 @@ class _Border:
     """Across pixels without depth."""
 
 
-def _body(mask: Mask, points: Array, normals: Array, lab: Array, support: Support) -> _Body:
-    index = np.flatnonzero(mask)
-    pixels = len(index)
-    index = index[:: max(1, pixels // 400)]
+def _body(pixels: NDArray[np.intp], points: Array, normals: Array, lab: Array, support: Support) -> _Body:
+    index = pixels[:: max(1, len(pixels) // 400)]
     p = points.reshape(-1, 3)[index].astype(np.float64)
     n = np.nan_to_num(normals.reshape(-1, 3)[index].astype(np.float64))
     xy, normal_xy = support.footprint(p).astype(np.float64), support.footprint(n).astype(np.float64)
@@ -121,7 +119,7 @@ def _body(mask: Mask, points: Array, normals: Array, lab: Array, support: Suppor
     facing = -(n * p).sum(1) / np.linalg.norm(p, axis=1)
     trusted = facing > 0.25
     return _Body(
-        pixels,
+        len(pixels),
         xy,
         support.plane.height(p).astype(np.float64),
         np.median(lab.reshape(-1, 3)[index], axis=0).astype(np.float64),
@@ -194,15 +192,13 @@ def _drop_artefacts(labels: Labels, foreground: Foreground, points: Array, norma
     area = np.bincount(labels.ravel(), minlength=n + 1)
     core = np.bincount(labels[ndimage.minimum_filter(labels, 5) == labels].ravel(), minlength=n + 1)
     facing, z, height, contrast = np.zeros((4, n + 1))
-    for i, box in enumerate(ndimage.find_objects(labels), start=1):
-        if box is None:
-            continue
-        own = labels[box] == i
-        p, m = points[box][own], normals[box][own]
+    for i, own in enumerate(pixels_by_label(labels), start=1):
+        own = own[:: max(1, len(own) // 400)]
+        p, m = points.reshape(-1, 3)[own], normals.reshape(-1, 3)[own]
         facing[i] = np.nanmedian(-(p * np.nan_to_num(m)).sum(axis=1) / np.linalg.norm(p, axis=1))
         z[i] = np.nanmedian(p[:, 2])
-        height[i] = np.nanmax(foreground.height[box][own])
-        contrast[i] = np.median(foreground.contrast[box][own])
+        height[i] = np.nanmax(foreground.height.ravel()[own])
+        contrast[i] = np.median(foreground.contrast.ravel()[own])
     area_m2 = area * (z / np.hypot(*labels.shape)) ** 2
     speck = (area < 80) | (core < 0.12 * area) | (area_m2 < MIN_AREA_M2)
     smear = (facing < 0.35) & (area_m2 < 15 * MIN_AREA_M2)
@@ -227,13 +223,19 @@ def _claim_missing(labels: Labels, foreground: Foreground, lab: Array, reach_px:
         blind, foreground.contrast > usual + 6, foreground.region & (foreground.contrast > usual + 12)
     )
     distance, nearest = nearest_area(labels)
-    owner = labels[nearest[0], nearest[1]]
-    differs &= np.linalg.norm(lab - lab[nearest[0], nearest[1]], axis=2) < 30
-    linked = ndimage.binary_propagation(labels > 0, mask=differs | (labels > 0)) & differs
-    claimed = linked & (distance <= reach_px)
-    out = np.where(claimed, owner, labels).astype(np.int32)
+    near = np.flatnonzero(differs & (distance <= reach_px))
+    source = (nearest[0] * labels.shape[1] + nearest[1]).ravel()[near]
+    flat_lab = lab.reshape(-1, 3)
+    alike = np.linalg.norm(flat_lab[near] - flat_lab[source], axis=1) < 30
+    near, source = near[alike], source[alike]
+    candidate = np.zeros(labels.size, bool)
+    candidate[near] = True
+    reached = ndimage.binary_propagation(labels > 0, mask=candidate.reshape(labels.shape) | (labels > 0))
+    linked = reached.astype(bool).ravel()[near]
+    out = labels.copy()
+    out.flat[near[linked]] = labels.flat[source[linked]]
     for i, box in enumerate(ndimage.find_objects(out), start=1):
         window = out[box] == i
         holes = ndimage.binary_fill_holes(window) & (out[box] == 0) & (foreground.contrast[box] > usual)
         out[box][holes] = i
-    return ndimage.median_filter(out, 3) if out.any() else out
+    return ndimage.median_filter(out, 3)

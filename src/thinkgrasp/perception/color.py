@@ -50,14 +50,13 @@ def balance_white(lab: Array, usable: Mask) -> Array:
     References:
         The white-patch rule: the brightest surface in view is taken to be white. At most MAX_CAST is removed.
     """
-    chroma = np.hypot(lab[..., 1], lab[..., 2])
-    pale = usable & (lab[..., 0] > 68) & (chroma < 24)
-    if pale.sum() < MIN_WHITE_PIXELS:
+    seen = lab[::2, ::2][usable[::2, ::2]]
+    bright = seen[(seen[:, 0] > 68) & (np.hypot(seen[:, 1], seen[:, 2]) < 24)]
+    if len(bright) < MIN_WHITE_PIXELS // 4:
         return lab
-    bright = lab[pale]
     bright = bright[bright[:, 0] >= np.percentile(bright[:, 0], 50)]
     bright = bright[bright[:, 0] < 99]
-    if len(bright) < MIN_WHITE_PIXELS // 4:
+    if len(bright) < MIN_WHITE_PIXELS // 16:
         return lab
     cast = np.median(bright[:, 1:] / bright[:, :1], axis=0)
     size = float(np.linalg.norm(cast))

@@ -29,6 +29,28 @@ class Edges:
     """+1: a lies in front of b by a step, -1: b in front of a, 0: no step."""
     blind: NDArray[np.bool_]
     """Whether pixels without depth lie between."""
+    pixel_a: NDArray[np.intp]
+    """Flat index of the pixel of a at which depth was compared."""
+    pixel_b: NDArray[np.intp]
+
+    @classmethod
+    def none(cls) -> Edges:
+        """Return no borders."""
+        z = np.zeros
+        return cls(z(0, np.intp), z(0, np.intp), z(0, np.int8), z(0, bool), z(0, np.intp), z(0, np.intp))
+
+    def relabelled(self, labels: Labels) -> Edges:
+        """Return the borders of other labels (H, W) that run along these ones, those across missing depth left out."""
+        a, b = labels.ravel()[self.pixel_a] - 1, labels.ravel()[self.pixel_b] - 1
+        keep = (a >= 0) & (b >= 0) & (a != b) & ~self.blind
+        return Edges(
+            a[keep].astype(np.intp),
+            b[keep].astype(np.intp),
+            self.step[keep],
+            self.blind[keep],
+            self.pixel_a[keep],
+            self.pixel_b[keep],
+        )
 
 
 def find_edges(labels: Labels, points: Array, normals: Array, reach_px: int = 0, blind_reach_px: int = 0) -> Edges:
@@ -68,9 +90,16 @@ def find_edges(labels: Labels, points: Array, normals: Array, reach_px: int = 0,
             cb = np.where(image[row, on] == lb, on, cb)
         ia, ib = where[row, ca], where[row, cb]
         step = _step(flat_points[ia], flat_normals[ia], flat_points[ib], flat_normals[ib])
-        found.append((la - 1, lb - 1, step, blind))
-    a, b, step, blind = (np.concatenate(column) for column in zip(*found, strict=True))
-    return Edges(a.astype(np.intp), b.astype(np.intp), step.astype(np.int8), blind.astype(bool))
+        found.append((la - 1, lb - 1, step, blind, ia, ib))
+    a, b, step, blind, ia, ib = (np.concatenate(column) for column in zip(*found, strict=True))
+    return Edges(
+        a.astype(np.intp),
+        b.astype(np.intp),
+        step.astype(np.int8),
+        blind.astype(bool),
+        ia.astype(np.intp),
+        ib.astype(np.intp),
+    )
 
 
 def _step(pa: Array, na: Array, pb: Array, nb: Array) -> NDArray[np.int8]:

@@ -47,9 +47,8 @@ def find_foreground(points: Array, lab: Array, support: Support, workspace: Mask
     height = support.plane.height(points)
     with np.errstate(invalid="ignore"):
         region = (height > -0.02) & (height < MAX_HEIGHT_M)
-        candidates = np.flatnonzero(region)
-        outside = support.distance_outside(points.reshape(-1, 3)[candidates])
-        region.flat[candidates] = outside < OUTSIDE_MARGIN_M
+        inside = support.distance_outside(points[::2, ::2]) < OUTSIDE_MARGIN_M
+        region &= inside.repeat(2, axis=0).repeat(2, axis=1)[: region.shape[0], : region.shape[1]]
         noise = 1.4826 * support.plane.residual_m
         surface = region & (np.abs(height) < 0.006 + 2 * noise)
         contrast = _contrast(lab, surface)

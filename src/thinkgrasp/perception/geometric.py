@@ -9,7 +9,7 @@ from thinkgrasp.geometry import deproject, organised_normals
 from thinkgrasp.perception.assembly import assemble
 from thinkgrasp.perception.blind import find_blind
 from thinkgrasp.perception.color import balance_white, lab_from_rgb
-from thinkgrasp.perception.edges import find_edges
+from thinkgrasp.perception.edges import Edges
 from thinkgrasp.perception.foreground import find_foreground
 from thinkgrasp.perception.grouping import merge_patches, patch_adjacency, patch_statistics
 from thinkgrasp.perception.morphology import Labels
@@ -63,15 +63,16 @@ class GeometricPerception:
             patches = patch_statistics(labels, work_points, work_normals, lab)
             groups = merge_patches(len(patches.count), patch_adjacency(labels, work_points, work_normals, patches))
             labels = np.where(labels > 0, np.r_[-1, groups][labels] + 1, 0).astype(np.int32)
-            labels = assemble(labels, foreground, work_points, work_normals, lab, support)
+            labels, edges = assemble(labels, foreground, work_points, work_normals, lab, support)
+        else:
+            edges = Edges.none()
         labels, sized = find_blind(labels, foreground, work_points, support, work_camera)
         proposals = make_proposals(labels, scale, sized, work_normals, lab, support, camera)
 
         marks: Labels = np.zeros(labels.shape, np.int32)
         for proposal in proposals:
             marks[proposal.mask[::scale, ::scale]] = proposal.mark
-        edges = find_edges(marks, sized, work_normals, reach_px=3)
-        graph = obstruction_graph(marks, scale, sized, edges, proposals, support)
+        graph = obstruction_graph(marks, scale, sized, edges.relabelled(marks), proposals, support)
         return Scene(
             frame,
             points,

@@ -29,3 +29,12 @@ def nearest_area(labels: Labels) -> tuple[NDArray[np.float64], NDArray[np.int32]
     """Return how far every pixel is from the nearest labelled one (H, W) [px], and which one that is (2, H, W)."""
     found = ndimage.distance_transform_edt(labels == 0, return_indices=True)
     return cast("tuple[NDArray[np.float64], NDArray[np.int32]]", found)
+
+
+def pixels_by_label(labels: Labels) -> list[NDArray[np.intp]]:
+    """Return the flat indices of the pixels of every label 1..n, in image order."""
+    used = np.flatnonzero(labels)
+    owner = labels.ravel()[used]
+    order = np.argsort(owner, kind="stable")
+    ends = np.cumsum(np.bincount(owner, minlength=int(labels.max()) + 1))
+    return np.split(used[order], ends[1:-1])

@@ -41,15 +41,13 @@ def make_proposals(
     axes = support.axes
     origin = -support.plane.offset_m * support.plane.normal
     size = (camera.height, camera.width)
-    with np.errstate(invalid="ignore"):
-        facing = -(points * normals).sum(axis=2) / np.linalg.norm(points, axis=2)
-        slanted = ~(facing > MIN_FACING) | flying_pixels(points)
+    flying = flying_pixels(points)
     for label, box in enumerate(ndimage.find_objects(labels), start=1):
         if box is None:
             continue
         small = labels[box] == label
         seen = small & np.isfinite(points[box][..., 2])
-        solid = _solid(small, seen, slanted[box])
+        solid = _solid(small, seen, _slanted(points[box], normals[box]) | flying[box])
         if solid.sum() < 20:
             continue
         index = np.flatnonzero(solid)[:: max(1, int(solid.sum()) // MAX_POINTS)]
@@ -84,6 +82,11 @@ def make_proposals(
             )
         )
     return tuple(_numbered(found))
+
+
+def _slanted(points: Array, normals: Array) -> Mask:
+    with np.errstate(invalid="ignore"):
+        return ~(-(points * normals).sum(axis=2) / np.linalg.norm(points, axis=2) > MIN_FACING)
 
 
 def _solid(mask: Mask, seen: Mask, slanted: Mask) -> Mask:

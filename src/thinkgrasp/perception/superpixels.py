@@ -10,8 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from thinkgrasp.types import Array, Mask
 
-LEARN_EVERY = 2
-"""Seeds are moved by every second pixel in both directions; all pixels are assigned at the end."""
+ROUNDS = 4
 
 
 def superpixels(mask: Mask, points: Array, normals: Array, lab: Array, spacing_px: int = 10) -> NDArray[np.int32]:
@@ -48,11 +47,9 @@ def superpixels(mask: Mask, points: Array, normals: Array, lab: Array, spacing_p
     home = (v // spacing_px + 1) * columns + u // spacing_px + 1
     offsets = np.array([di * columns + dj for di in (-1, 0, 1) for dj in (-1, 0, 1)])
     n = rows * columns
-    learn = (v % LEARN_EVERY == 0) & (u % LEARN_EVERY == 0)
-    label = _nearest_seed(features[learn], home[learn], _means(features[learn], home[learn], n), offsets)
-    for _ in range(2):
-        label = _nearest_seed(features[learn], home[learn], _means(features[learn], label, n), offsets)
-    label = _nearest_seed(features, home, _means(features[learn], label, n), offsets)
+    label = home
+    for _ in range(ROUNDS):
+        label = _nearest_seed(features, home, _means(features, label, n), offsets)
     image = np.zeros(mask.shape, np.int64)
     image[v, u] = label + 1
     return _connected_patches(image)

@@ -167,17 +167,17 @@ def _outline(xy: Float) -> Float | None:
 
 
 def _finish(points: Array, normal: Float, offset: float) -> Support | None:
-    z = points[..., 2]
+    coarse = points[::3, ::3]
     for band in (1.0, 0.7):
-        inliers = np.abs(points @ normal.astype(np.float32) + np.float32(offset)) < band * tolerance(z)
-        if inliers.sum() < 50:
+        close = np.abs(coarse @ normal.astype(np.float32) + np.float32(offset)) < band * tolerance(coarse[..., 2])
+        if close.sum() < 30:
             return None
-        normal, offset = fit_plane(points[inliers][::7])
+        normal, offset = fit_plane(coarse[close])
     distance = np.abs(points @ normal.astype(np.float32) + np.float32(offset))
-    inliers = distance < tolerance(z)
+    inliers = distance < tolerance(points[..., 2])
     axes = plane_axes(normal)
     hull = _outline((points[inliers][::5] @ axes[:2].T.astype(np.float32)).astype(np.float64))
     if hull is None:
         return None
-    plane = SupportPlane(normal, float(offset), inliers, float(np.median(distance[inliers])))
+    plane = SupportPlane(normal, float(offset), inliers, float(np.median(distance[inliers][::5])))
     return Support(plane, hull, axes)
