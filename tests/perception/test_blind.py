@@ -35,7 +35,6 @@ def test_a_thing_without_any_depth_is_proposed_by_its_colour_and_sized_where_it_
     np.testing.assert_array_equal(np.isfinite(scene.points[..., 2]), blinded(rendering, rendering.mask(1)).depth > 0)
 
 
-@pytest.mark.xfail(strict=True, reason="confidence counts the card's made-up depth as seen")
 def test_a_thing_without_any_depth_is_believed_less() -> None:
     rendering = view(CAN)
     unseen = GeometricPerception().perceive(blinded(rendering, rendering.mask(0))).proposals

@@ -192,9 +192,6 @@ def test_things_cut_by_the_image_border_are_found_and_said_to_be() -> None:
     assert left.confidence < inside.confidence
 
 
-@pytest.mark.xfail(
-    strict=True, reason="what hides the support's near end is nearer than the outline that is seen of it"
-)
 def test_things_cut_by_the_lower_border_are_whole() -> None:
     rendering = view(t.box("near", (0.10, 0.07, 0.05), RED, t.pose(0.02, -0.27)))
     ((near, iou),) = matches(perceive(rendering), rendering)

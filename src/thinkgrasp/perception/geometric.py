@@ -67,7 +67,8 @@ class GeometricPerception:
         else:
             edges = Edges.none()
         labels, sized = find_blind(labels, foreground, work_points, support, work_camera)
-        proposals = make_proposals(labels, scale, sized, work_normals, lab, support, camera)
+        measured = np.isfinite(work_points[..., 2])
+        proposals = make_proposals(labels, scale, sized, measured, work_normals, lab, support, camera)
 
         marks: Labels = np.zeros(labels.shape, np.int32)
         for proposal in proposals:

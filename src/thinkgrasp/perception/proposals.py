@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import ndimage
 
@@ -24,14 +26,22 @@ MIN_FACING = 0.3
 
 
 def make_proposals(
-    labels: Labels, scale: int, points: Array, normals: Array, lab: Array, support: Support, camera: CameraIntrinsics
+    labels: Labels,
+    scale: int,
+    points: Array,
+    measured: Mask,
+    normals: Array,
+    lab: Array,
+    support: Support,
+    camera: CameraIntrinsics,
 ) -> tuple[Proposal, ...]:
-    """Describe every labelled thing and number them from 1, nearest to the image's middle line by line.
+    """Describe every labelled thing and number them from 1 in reading order.
 
     Args:
         labels: (h, w) 1..n at working resolution.
         scale: Image pixels per working pixel.
         points: (h, w, 3) [m] at working resolution.
+        measured: (h, w) where the points come from the sensor and not from an assumption.
         normals: (h, w, 3).
         lab: (h, w, 3).
         support: The surface.
@@ -78,7 +88,7 @@ def make_proposals(
                 colors=name_colors(lab[box][inner][:: max(1, int(inner.sum()) // MAX_POINTS)]),
                 shapes=shape.descriptors,
                 touches_border=border,
-                confidence=_confidence(small, seen, shape, border),
+                confidence=_confidence(small, small & measured[box], shape, border),
             )
         )
     return tuple(_numbered(found))
@@ -143,7 +153,6 @@ def _confidence(mask: Mask, seen: Mask, shape: Shape, border: bool) -> float:
 
 def _numbered(found: list[Proposal]) -> list[Proposal]:
     """Number proposals in reading order of their boxes' centres."""
-    from dataclasses import replace
 
     def reading_order(p: Proposal) -> tuple[float, float]:
         x0, y0, x1, y1 = p.box_xyxy

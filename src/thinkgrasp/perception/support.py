@@ -19,6 +19,7 @@ N_PLANES = 5
 OBJECT_HEIGHT_M = (0.015, 0.35)
 """Points this far above a plane speak for it being the one that objects stand on."""
 GRID_M = 0.015
+BORDER_HEIGHT_M = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,8 +177,25 @@ def _finish(points: Array, normal: Float, offset: float) -> Support | None:
     distance = np.abs(points @ normal.astype(np.float32) + np.float32(offset))
     inliers = distance < tolerance(points[..., 2])
     axes = plane_axes(normal)
-    hull = _outline((points[inliers][::5] @ axes[:2].T.astype(np.float32)).astype(np.float64))
+    seen = np.concatenate([points[inliers][::5], _beyond_border(points, inliers, normal)])
+    hull = _outline((seen @ axes[:2].T.astype(np.float32)).astype(np.float64))
     if hull is None:
         return None
     plane = SupportPlane(normal, float(offset), inliers, float(np.median(distance[inliers][::5])))
     return Support(plane, hull, axes)
+
+
+def _beyond_border(points: Array, inliers: Mask, normal: Float) -> Array:
+    """Points (N, 3) [m] over the part of the support that may be hidden by things cut off by the image border.
+
+    Where the support runs out of the image, whatever stands up to BORDER_HEIGHT_M on it is in view although its foot is
+    not: the outline is widened to where the lines of sight at the border pass that height.
+    """
+    border = np.zeros(inliers.shape, bool)
+    border[:3], border[-3:], border[:, :3], border[:, -3:] = True, True, True, True
+    p = points[border & inliers]
+    if len(p) == 0:
+        return p
+    rise = -(p @ normal.astype(np.float32)) / np.linalg.norm(p, axis=1)
+    back = np.minimum(BORDER_HEIGHT_M / np.maximum(rise, 0.1), 0.5 * np.linalg.norm(p, axis=1))
+    return (p * (1 - back / np.linalg.norm(p, axis=1))[:, None]).astype(np.float32)
