@@ -160,6 +160,6 @@ def organised_normals(points: Array, camera: CameraIntrinsics, radius_px: int = 
         value = ndimage.uniform_filter(value, n, mode="constant")
         gradients.append(np.where(weight > 0.1, value / np.maximum(weight, 1e-6), np.float32(np.nan)))
     a, b = gradients[0] * np.float32(camera.fx), gradients[1] * np.float32(camera.fy)
-    c = q - a * points[..., 0] * q - b * points[..., 1] * q
-    normals = -np.stack([a, b, c], axis=-1)
-    return (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).astype(np.float32)
+    c = q - (a * points[..., 0] + b * points[..., 1]) * q
+    scale = -1 / np.sqrt(a * a + b * b + c * c)
+    return np.stack([a * scale, b * scale, c * scale], axis=-1)

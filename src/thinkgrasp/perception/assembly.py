@@ -11,7 +11,7 @@ from scipy import ndimage
 from thinkgrasp.perception.color import color_memberships
 from thinkgrasp.perception.edges import Edges, count_pairs, find_edges, tabulate
 from thinkgrasp.perception.foreground import Foreground
-from thinkgrasp.perception.morphology import Labels, nearest_area, pixels_by_label
+from thinkgrasp.perception.morphology import Labels, Nearest, nearest_area, pixels_by_label
 from thinkgrasp.perception.shape import Circle, circle_from_normals
 from thinkgrasp.perception.support import Support
 from thinkgrasp.types import Array
@@ -66,10 +66,11 @@ def assemble(
     Returns:
         Labels (H, W) 1..m, with pixels without depth where they belong to a thing, and the borders of the groups.
     """
-    edges = find_edges(labels, points, normals, reach_px=3, blind_reach_px=15)
+    nearest = nearest_area(labels)
+    edges = find_edges(labels, points, normals, reach_px=3, blind_reach_px=15, nearest=nearest)
     labels = _join(labels, edges, points, normals, lab, support)
     labels = _drop_artefacts(labels, foreground, points, normals)
-    return _claim_missing(labels, foreground, lab), edges
+    return _claim_missing(labels, nearest, foreground, lab), edges
 
 
 def _join(labels: Labels, edges: Edges, points: Array, normals: Array, lab: Array, support: Support) -> Labels:
@@ -209,7 +210,7 @@ def _drop_artefacts(labels: Labels, foreground: Foreground, points: Array, norma
     return new[labels]
 
 
-def _claim_missing(labels: Labels, foreground: Foreground, lab: Array, reach_px: int = 25) -> Labels:
+def _claim_missing(labels: Labels, nearest: Nearest, foreground: Foreground, lab: Array, reach_px: int = 25) -> Labels:
     """Give pixels without depth, or too low to be told from the surface, to the thing beside them.
 
     They must differ in colour from the surface, look like the thing's nearest pixel and be no further than `reach_px`
@@ -222,9 +223,9 @@ def _claim_missing(labels: Labels, foreground: Foreground, lab: Array, reach_px:
     differs = (labels == 0) & np.where(
         blind, foreground.contrast > usual + 6, foreground.region & (foreground.contrast > usual + 12)
     )
-    distance, nearest = nearest_area(labels)
-    near = np.flatnonzero(differs & (distance <= reach_px))
-    source = (nearest[0] * labels.shape[1] + nearest[1]).ravel()[near]
+    near = np.flatnonzero(differs & (nearest.distance_px <= reach_px))
+    source = nearest.pixel.ravel()[near]
+    near, source = near[labels.flat[source] > 0], source[labels.flat[source] > 0]
     flat_lab = lab.reshape(-1, 3)
     alike = np.linalg.norm(flat_lab[near] - flat_lab[source], axis=1) < 30
     near, source = near[alike], source[alike]
@@ -238,4 +239,6 @@ def _claim_missing(labels: Labels, foreground: Foreground, lab: Array, reach_px:
         window = out[box] == i
         holes = ndimage.binary_fill_holes(window) & (out[box] == 0) & (foreground.contrast[box] > usual)
         out[box][holes] = i
-    return ndimage.median_filter(out, 3)
+    if out.max() > 255:
+        return ndimage.median_filter(out, 3)
+    return ndimage.median_filter(out.astype(np.uint8), 3).astype(np.int32)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thinkgrasp.perception.morphology import Labels, nearest_area
+from thinkgrasp.perception.morphology import Labels, Nearest, nearest_area
 from thinkgrasp.types import Array
 
 INSET_PX = 3
@@ -53,7 +53,14 @@ class Edges:
         )
 
 
-def find_edges(labels: Labels, points: Array, normals: Array, reach_px: int = 0, blind_reach_px: int = 0) -> Edges:
+def find_edges(
+    labels: Labels,
+    points: Array,
+    normals: Array,
+    reach_px: int = 0,
+    blind_reach_px: int = 0,
+    nearest: Nearest | None = None,
+) -> Edges:
     """Compare depth across every border between two labels.
 
     A step is where neither side's tangent plane predicts the other side's depth.
@@ -64,12 +71,13 @@ def find_edges(labels: Labels, points: Array, normals: Array, reach_px: int = 0,
         normals: (H, W, 3) unit; NaN where unknown.
         reach_px: Labels that are at most twice this far apart, with unlabelled pixels between, meet too.
         blind_reach_px: The same where the pixels between have no depth.
+        nearest: What nearest_area(labels) returns, where it is known already.
     """
     index = np.arange(labels.size).reshape(labels.shape)
     if reach_px:
-        distance, nearest = nearest_area(labels)
-        near = distance <= np.where(np.isfinite(points[..., 2]), reach_px, max(reach_px, blind_reach_px))
-        index = np.where(near, nearest[0] * labels.shape[1] + nearest[1], index)
+        nearest = nearest or nearest_area(labels)
+        reach = np.where(np.isfinite(points[..., 2]), reach_px, max(reach_px, blind_reach_px))
+        index = np.where(nearest.distance_px <= reach, nearest.pixel, index)
     flat_points, flat_normals = points.reshape(-1, 3), normals.reshape(-1, 3)
     filled = labels.flat[index]
     has_depth = np.isfinite(flat_points[:, 2])

@@ -96,6 +96,7 @@ def _contrast(lab: Array, surface: Mask, block: int = 8) -> Array:
     local /= share[..., None]
     rows = np.minimum(np.arange(h) // block, H - 1)
     columns = np.minimum(np.arange(w) // block, W - 1)
-    difference = lab - local[rows[:, None], columns].astype(np.float32)
-    difference[..., 0] *= 0.4
-    return np.sqrt((difference**2).sum(axis=-1))
+    square = np.zeros((h, w), np.float32)
+    for c, weight in enumerate((0.4, 1.0, 1.0)):
+        square += (np.float32(weight) * (lab[..., c] - local[..., c].astype(np.float32)[rows[:, None], columns])) ** 2
+    return np.sqrt(square)

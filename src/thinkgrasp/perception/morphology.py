@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -25,10 +26,23 @@ def connected_areas(mask: Mask, *, diagonal: bool = False) -> tuple[Labels, int]
     return cast("tuple[Labels, int]", ndimage.label(mask, structure=structure))
 
 
-def nearest_area(labels: Labels) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return how far every pixel is from the nearest labelled one (H, W) [px], and which one that is (2, H, W)."""
-    found = ndimage.distance_transform_edt(labels == 0, return_indices=True)
-    return cast("tuple[NDArray[np.float64], NDArray[np.int32]]", found)
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """The labelled pixel that is nearest to every pixel."""
+
+    distance_px: NDArray[np.float64]
+    """(H, W)"""
+    pixel: NDArray[np.intp]
+    """(H, W) its flat index"""
+
+
+def nearest_area(labels: Labels) -> Nearest:
+    """Find the labelled pixel nearest to every pixel of (H, W)."""
+    distance, where = cast(
+        "tuple[NDArray[np.float64], NDArray[np.int32]]",
+        ndimage.distance_transform_edt(labels == 0, return_indices=True),
+    )
+    return Nearest(distance, where[0].astype(np.intp) * labels.shape[1] + where[1])
 
 
 def pixels_by_label(labels: Labels) -> list[NDArray[np.intp]]:

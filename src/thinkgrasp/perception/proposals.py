@@ -15,7 +15,7 @@ from thinkgrasp.perception.shape import Shape, Surface, describe_shape
 from thinkgrasp.perception.support import Support
 from thinkgrasp.types import Array, CameraIntrinsics, Mask, Proposal
 
-MAX_POINTS = 800
+MAX_POINTS = 500
 MAX_SIDE_M = 0.6
 BORDER_PX = 2
 CELL_M = 0.008
@@ -72,8 +72,8 @@ def make_proposals(
         if shape.extents[0] > MAX_SIDE_M:
             continue
         mask = _full_size(small, box, scale, size)
-        v, u = np.nonzero(mask)
-        x0, y0, x1, y1 = int(u.min()), int(v.min()), int(u.max()) + 1, int(v.max()) + 1
+        y0, x0 = box[0].start * scale, box[1].start * scale
+        y1, x1 = min(box[0].stop * scale, size[0]), min(box[1].stop * scale, size[1])
         border = x0 < BORDER_PX or y0 < BORDER_PX or x1 > size[1] - BORDER_PX or y1 > size[0] - BORDER_PX
         core = ndimage.binary_erosion(small, iterations=2).astype(bool)
         inner = core if core.sum() > 60 else small
