@@ -177,7 +177,7 @@ def _finish(points: Array, normal: Float, offset: float) -> Support | None:
     distance = np.abs(points @ normal.astype(np.float32) + np.float32(offset))
     inliers = distance < tolerance(points[..., 2])
     axes = plane_axes(normal)
-    seen = np.concatenate([points[inliers][::5], _beyond_border(points, inliers, normal)])
+    seen = np.concatenate([coarse[inliers[::3, ::3]], _beyond_border(points, inliers, normal)])
     hull = _outline((seen @ axes[:2].T.astype(np.float32)).astype(np.float64))
     if hull is None:
         return None
