@@ -88,9 +88,10 @@ def _join(labels: Labels, edges: Edges, points: Array, normals: Array, lab: Arra
             if meets[j] < 4 or group[i] == group[j]:
                 continue
             border = _Border(int(meets.sum()), int(contact[i, j]), int(front[i, j]), int(front[j, i]), int(blind[i, j]))
-            if any(
-                rule(bodies[i], bodies[j], border) for rule in (_is_interior, _is_flank, _is_attached, _is_continued)
-            ):
+            joined = any(rule(bodies[i], bodies[j], border) for rule in RULES)
+            # An inside may touch nothing but a rim that has been joined to its outside already.
+            outsides = np.flatnonzero(group == group[j])
+            if joined or any(_is_interior(bodies[i], bodies[k], border) for k in outsides if k != j):
                 group[group == group[i]] = group[j]
                 break
     new = np.unique(group, return_inverse=True)[1].astype(np.int32) + 1
@@ -179,6 +180,9 @@ def _is_continued(part: _Body, body: _Body, border: _Border) -> bool:
     if border.blind < max(8, 0.5 * (border.contact + border.in_front + border.behind)):
         return False
     return border.contact > 2 * (border.in_front + border.behind) and _shared_colors(part, body) > 0.8
+
+
+RULES = (_is_interior, _is_flank, _is_attached, _is_continued)
 
 
 def _shared_colors(a: _Body, b: _Body) -> float:
