@@ -94,4 +94,48 @@ def test_what_is_not_there_is_seldom_taken_for_the_goal() -> None:
     taken = [f"{n}: {text} -> mark {p.mark}" for (n, text), p in plans.items() if p.found and p.role == "goal"]
     assert len(taken) <= 0.1 * len(asked), taken
     tidy = [p.found for (n, _), p in plans.items() if n == "000004"]
-    assert np.mean(tidy) <= 0.1
+    assert np.mean(tidy) <= 0.15
+
+
+def occupied_voxels(view: Frame, voxel_m: float = 0.003) -> np.ndarray:
+    """Centres (K, 3) of the 3 mm voxels that hold a point; written anew here, not taken from what is tested."""
+    camera = view.camera
+    v, u = np.nonzero(view.depth > 0)
+    z = view.depth[v, u].astype(float)
+    points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=1)
+    return (np.unique(np.floor(points / voxel_m).astype(np.int64), axis=0) + 0.5) * voxel_m
+
+
+def test_every_returned_grasp_is_clear_of_every_point() -> None:
+    pipeline = make_pipeline("offline")
+    pipeline.scene = perception()
+    gripper = pipeline.gripper
+    voxels = {name: occupied_voxels(frame(name)) for name in ("000000", "000004", "graspnet")}
+    checked = 0
+    for name, text, _ in instructions(ANNOTATED) + instructions(DATA / "real_rephrased.json"):
+        decision = pipeline.decide(frame(name), text)
+        if decision.grasp is None:
+            continue
+        support = decision.scene.support
+        assert support is not None
+        for grasp in (decision.grasp, *decision.alternatives):
+            assert gripper.min_width_m <= grasp.width_m <= gripper.max_width_m
+            near = voxels[name][np.linalg.norm(voxels[name] - grasp.position, axis=1) < 0.35]
+            local = (near - grasp.position) @ grasp.rotation
+            half, L = grasp.width_m / 2, gripper.finger_length_m
+            px, py, pz = gripper.palm_size_m
+            fingers = (
+                (np.abs(local[:, 0]) >= half)
+                & (np.abs(local[:, 0]) <= half + gripper.finger_thickness_m)
+                & (np.abs(local[:, 1]) <= gripper.finger_breadth_m / 2)
+            )
+            palm = (np.abs(local[:, 0]) <= px / 2) & (np.abs(local[:, 1]) <= py / 2)
+            for back in np.arange(0.0, 0.1001, 0.0025):
+                depth = local[:, 2] + back
+                assert not (fingers & (depth >= -L) & (depth <= 0)).any(), f"{name}: {text}"
+                assert not (palm & (depth >= -L - pz) & (depth <= -L)).any(), f"{name}: {text}"
+            corners = np.array([[sx * (half + gripper.finger_thickness_m), sy * gripper.finger_breadth_m / 2, z]
+                                for sx in (-1, 1) for sy in (-1, 1) for z in (-L, 0.0)])  # fmt: skip
+            assert (support.height(corners @ grasp.rotation.T + grasp.position) > 0).all()
+            checked += 1
+    assert checked >= 200
