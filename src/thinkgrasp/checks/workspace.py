@@ -60,9 +60,9 @@ class WidthCheck:
     """Drop grasps that need another opening than the gripper has."""
 
     def keep(self, scene: Scene, target: Segment, grasps: Grasps, gripper: Gripper) -> NDArray[np.bool_]:
-        """Return (N,) True where the opening is within the gripper's range, to 0.01 mm."""
-        slack = 1e-5
-        return (grasps.widths >= gripper.min_width_m - slack) & (grasps.widths <= gripper.max_width_m + slack)
+        """Return (N,) True where the opening is within the gripper's range."""
+        widths = grasps.widths.astype(np.float64)
+        return (widths >= gripper.min_width_m) & (widths <= gripper.max_width_m)
 
 
 class WorkspaceCheck:

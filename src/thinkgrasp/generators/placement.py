@@ -64,7 +64,8 @@ def place(
     """
     line, rotation, tilt = _orientations(lines, upright, settings)
     middle, distance = lines.middle[line], lines.distance[line]
-    narrow = np.minimum(distance + 2 * settings.clearance_m, gripper.max_width_m)
+    widest = np.nextafter(np.float32(gripper.max_width_m), np.float32(0))  # rounding must not open it too far
+    narrow = np.minimum(distance + 2 * settings.clearance_m, widest)
     narrow = np.maximum(narrow, gripper.min_width_m)
     fits = (narrow >= distance + 2 * settings.min_clearance_m) & (narrow >= gripper.min_width_m)
     line, rotation, tilt, middle, narrow = line[fits], rotation[fits], tilt[fits], middle[fits], narrow[fits]
@@ -73,7 +74,7 @@ def place(
     reach = _reach(rotation, middle, width, gripper, upright, obstacles, settings)
     tight = np.flatnonzero(reach < settings.min_engagement_m)
     if len(tight):
-        wide = np.minimum(narrow[tight] + 0.016, gripper.max_width_m)
+        wide = np.minimum(narrow[tight] + 0.016, widest)
         wider = _reach(rotation[tight], middle[tight], wide, gripper, upright, obstacles, settings)
         width[tight], reach[tight] = wide, wider
     wanted = 0.5 * gripper.pad_length_m
