@@ -96,7 +96,11 @@ def make_decision() -> Callable[..., Decision]:
         point = preferred_point(points, mask, target.box_xyxy, 3, 5)
         assert point is not None
         first, *others = _grasps(point, up, 6)
-        funnel = (FunnelStep("width", 812, 640), FunnelStep("collision", 640, 6 if status == "grasp" else 0))
+        funnel = (
+            FunnelStep("candidates", 812, 812),
+            FunnelStep("width", 812, 640),
+            FunnelStep("collision", 640, 6 if status == "grasp" else 0),
+        )
         decision = Decision(
             status, instruction, scene, plan, target, mask, point, None, (), funnel, degraded, timings_ms=timings
         )

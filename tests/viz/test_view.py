@@ -131,7 +131,14 @@ def test_page_refers_to_nothing_outside(make_decision: Make) -> None:
 def test_funnel_and_timings_are_listed(make_decision: Make) -> None:
     page = render_view(make_decision("no_grasp", degraded=(Degradation("segment", "two fit", "the nearer"),)), GRIPPER)
     text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page))
-    for words in ("generated 812", "width 640", "collision 0", "scene 101.2 ms", "total 103.3 ms", "segment : two fit"):
+    for words in (
+        "candidates 812",
+        "width 640",
+        "collision 0",
+        "scene 101.2 ms",
+        "total 103.3 ms",
+        "segment : two fit",
+    ):
         assert words in text
 
 

@@ -341,7 +341,7 @@ def _funnel(decision: Decision) -> str:
     if not decision.funnel:
         return ""
     first = max(decision.funnel[0].n_in, 1)
-    rows = [("generated", decision.funnel[0].n_in), *((step.check, step.n_out) for step in decision.funnel)]
+    rows = [(step.check, step.n_out) for step in decision.funnel]
     return "<h2>Candidates after each check</h2>" + _bars((name, str(n), n / first) for name, n in rows)
 
 
