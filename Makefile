@@ -1,7 +1,8 @@
 # make demo    one decision on a rendered table top; writes out/demo
 # make test    all tests, in a fresh .venv
 # make lint    ruff and pyright
-# make bench   speed and memory, stage by stage
+# make bench   speed and memory stage by stage, perception and language on rendered scenes;
+#              FRAMES=DIR adds the real frames of a folder (see docs/measurements.md)
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
@@ -26,7 +27,16 @@ lint: $(VENV)/.lint
 	$(BIN)/pyright
 
 bench: $(VENV)/.test
-	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+	$(BIN)/python benchmarks/latency.py
+	$(BIN)/python benchmarks/perception.py
+	$(BIN)/python benchmarks/grounding.py --split test
+ifdef FRAMES
+	$(BIN)/python benchmarks/latency.py --frames $(FRAMES)
+	$(BIN)/python benchmarks/real_frames.py $(FRAMES)
+	$(BIN)/python benchmarks/real_frames.py $(FRAMES) --instructions tests/data/real_rephrased.json
+	$(BIN)/python benchmarks/leave_one_out.py $(FRAMES)
+	$(BIN)/python benchmarks/stability.py $(FRAMES)
+endif
 
 # The tests of the 3-D view drive a browser; without one they are skipped, and say so.
 browser:

@@ -11,6 +11,7 @@ grasp's TCP projects into that box.
 from __future__ import annotations
 
 import json
+import tempfile
 from pathlib import Path
 from typing import Annotated
 
@@ -66,7 +67,7 @@ def main(
     data = json.loads((folder / "annotations.json").read_text())
     scenes = json.loads(instructions.read_text())["scenes"] if instructions else data["scenes"]
     pipeline = make_pipeline(preset)
-    out = show or Path("/tmp")
+    out = show or Path(tempfile.mkdtemp())
     out.mkdir(parents=True, exist_ok=True)
     right = target_right = total = 0
     for name, scene in scenes.items():

@@ -25,16 +25,20 @@ class GeometricPerception:
 
     Args:
         work_width_px: Frames wider than this are processed at a whole fraction of their size.
+        patch_px: Size of the patches that things are put together from, at that size.
         seed: Seeds the plane search, anew for every frame.
 
     Raises:
-        ConfigError: work_width_px is smaller than 160.
+        ConfigError: work_width_px is smaller than 160, or patch_px is not in 4..40.
     """
 
-    def __init__(self, *, work_width_px: int = 640, seed: int = 0) -> None:
+    def __init__(self, *, work_width_px: int = 640, patch_px: int = 10, seed: int = 0) -> None:
         if work_width_px < 160:
             raise ConfigError(f"work_width_px must be at least 160, got {work_width_px}")
+        if not 4 <= patch_px <= 40:
+            raise ConfigError(f"patch_px must be in 4..40, got {patch_px}")
         self.work_width_px = work_width_px
+        self.patch_px = patch_px
         self.seed = seed
 
     def perceive(self, frame: Frame) -> Scene:
@@ -58,7 +62,7 @@ class GeometricPerception:
         lab = balance_white(lab_from_rgb(_shrunk(frame.color, scale)), ~support.plane.inliers)
         workspace = None if frame.workspace is None else frame.workspace[::scale, ::scale]
         foreground = find_foreground(work_points, lab, support, workspace)
-        labels = superpixels(foreground.mask, work_points, work_normals, lab)
+        labels = superpixels(foreground.mask, work_points, work_normals, lab, self.patch_px)
         if labels.any():
             patches = patch_statistics(labels, work_points, work_normals, lab)
             groups = merge_patches(len(patches.count), patch_adjacency(labels, work_points, work_normals, patches))
