@@ -1,7 +1,7 @@
 """From patches to things: agglomerative merging over the patch adjacency graph.
 
-Two patches belong to one thing unless depth jumps between them, or the surface folds inwards, or both their shape and
-their colour part company. Hollow things are the exception: across a rim depth jumps although it is one thing.
+Two patches belong to one thing unless depth jumps between them, or the surface folds inwards, or the colour changes
+where depth is not to be trusted. Hollow things are the exception: across a rim depth jumps although it is one thing.
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ CONCAVE_FREE_DEG = 16.0
 CONCAVE_FULL_DEG = 55.0
 COLOR_FREE = 14.0
 COLOR_FULL = 70.0
+HUE_FREE = 20.0
+SLANT_FREE, SLANT_FULL = 0.6, 0.25
+"""Cosine between normal and line of sight: a slanted patch where the colour changes is likely smeared depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +48,11 @@ class PatchStatistics:
     """(n, 3) unit"""
     lab: NDArray[np.float64]
     """(n, 3)"""
+
+    @property
+    def facing(self) -> NDArray[np.float64]:
+        """(n,) cosine between normal and line of sight"""
+        return -(self.normal * self.center).sum(axis=1) / np.maximum(np.linalg.norm(self.center, axis=1), 1e-6)
 
 
 def patch_statistics(labels: Labels, points: Array, normals: Array, lab: Array) -> PatchStatistics:
@@ -87,10 +95,15 @@ def _cost(
     angle = np.degrees(np.arccos(np.clip((na * nb).sum(1), -1, 1)))
     fold = ((na - nb) * line).sum(1)
     concave = np.where(fold < 0, angle, 0.0)
-    color = np.linalg.norm((patches.lab[a] - patches.lab[b]) * [0.5, 1.0, 1.0], axis=1)
+    difference = patches.lab[a] - patches.lab[b]
+    color = np.linalg.norm(difference * [0.5, 1.0, 1.0], axis=1)
+    hue = np.linalg.norm(difference[:, 1:], axis=1)  # without lightness, which changes with the slant
     c_fold = np.clip((concave - CONCAVE_FREE_DEG) / (CONCAVE_FULL_DEG - CONCAVE_FREE_DEG), 0, 1)
     c_color = np.clip((color - COLOR_FREE) / (COLOR_FULL - COLOR_FREE), 0, 1)
-    cost = c_fold * (0.7 + 0.6 * c_color) + 0.25 * c_color
+    facing = np.minimum(patches.facing[a], patches.facing[b])
+    c_slant = np.clip((SLANT_FREE - facing) / (SLANT_FREE - SLANT_FULL), 0, 1)
+    c_hue = np.clip((hue - HUE_FREE) / (COLOR_FULL - HUE_FREE), 0, 1)
+    cost = c_fold * (0.7 + 0.6 * c_color) + 0.25 * c_color + 0.9 * c_slant * c_hue
     return np.maximum(np.minimum(cost, 1.0), np.clip((stepped - 0.2) / 0.4, 0, 1))
 
 
