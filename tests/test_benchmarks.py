@@ -31,6 +31,7 @@ def test_perception_benchmark_prints_a_line_per_kind_and_draws(
     bench = load("perception", monkeypatch)
     kinds = {name: bench.KINDS[name] for name in ("apart", "small-table")}
     monkeypatch.setattr(bench, "KINDS", kinds)
+    monkeypatch.setattr(bench, "SMEARED", {})
     bench.main(scenes=1, show=tmp_path)
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 1 + len(kinds)
