@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thinkgrasp.selection import cell_box, cell_center, cell_of, preferred_point, rank_grasps
+from thinkgrasp.selection import cell_box, cell_center, preferred_point, rank_grasps
 from thinkgrasp.types import Grasps
 
 boxes = st.tuples(st.integers(0, 500), st.integers(0, 500), st.integers(1, 300), st.integers(1, 300)).map(
@@ -35,15 +35,13 @@ class TestCells:
     @given(boxes, grids, st.data())
     def test_the_centre_of_a_cell_lies_in_it(self, box, grid, data):
         cell = data.draw(st.integers(1, grid * grid))
-        assert cell_of(box, grid, cell_center(box, grid, cell)) == cell
+        (u, v), (x0, y0, x1, y1) = cell_center(box, grid, cell), cell_box(box, grid, cell)
+        assert x0 <= u + 0.5 <= x1
+        assert y0 <= v + 0.5 <= y1
 
     def test_the_papers_numbering(self):
         box = (0, 0, 9, 9)
         assert [cell_center(box, 3, c) for c in (1, 3, 5, 7, 9)] == [(1, 1), (7, 1), (4, 4), (1, 7), (7, 7)]
-
-    @given(boxes, grids, st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4)))
-    def test_every_pixel_has_a_cell(self, box, grid, pixel):
-        assert 1 <= cell_of(box, grid, pixel) <= grid * grid
 
     @pytest.mark.parametrize(("grid", "cell"), [(3, 0), (3, 10), (0, 1), (-1, 1)])
     def test_cells_outside_the_grid(self, grid, cell):

@@ -78,14 +78,15 @@ class Pipeline:
 
         plan = self.planner.plan(scene, instruction, memory or Memory())
         clock.lap("plan")
-        decision = Decision("no_target", instruction, scene, plan, degraded=plan.degraded)
+        degraded = (*scene.degraded, *plan.degraded)
+        decision = Decision("no_target", instruction, scene, plan, degraded=degraded)
         if not plan.found:
             return replace(decision, timings_ms=clock.timings())
 
         segmentation = self.segmenter.segment(scene, plan)
         _check_segments(segmentation, frame)
         clock.lap("segment")
-        degraded = (*plan.degraded, *segmentation.degraded)
+        degraded = (*degraded, *segmentation.degraded)
         if not segmentation.segments:
             return replace(decision, degraded=degraded, timings_ms=clock.timings())
         crop = np.logical_or.reduce([s.mask for s in segmentation.segments])

@@ -33,14 +33,6 @@ def cell_center(box_xyxy: BoxXYXY, grid: int, cell: int) -> tuple[float, float]:
     return (x0 + x1 - 1) / 2, (y0 + y1 - 1) / 2
 
 
-def cell_of(box_xyxy: BoxXYXY, grid: int, pixel: tuple[float, float]) -> int:
-    """Return the cell that holds a pixel (u, v); pixels outside the box count to the nearest cell."""
-    x0, y0, x1, y1 = box_xyxy
-    column = int(np.clip((pixel[0] + 0.5 - x0) / max(x1 - x0, 1) * grid, 0, grid - 1))
-    row = int(np.clip((pixel[1] + 0.5 - y0) / max(y1 - y0, 1) * grid, 0, grid - 1))
-    return row * grid + column + 1
-
-
 def preferred_point(points: Array, mask: Mask, box_xyxy: BoxXYXY, grid: int, cell: int) -> NDArray[np.float64] | None:
     """Lift the centre of the chosen cell to 3-D.
 

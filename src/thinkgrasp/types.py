@@ -196,6 +196,7 @@ class Scene:
     """(H, W) above the support and inside the workspace."""
     proposals: tuple[Proposal, ...] = ()
     obstructions: tuple[Obstruction, ...] = ()
+    degraded: tuple[Degradation, ...] = ()
 
     def proposal(self, mark: int) -> Proposal:
         """Return the proposal with this mark, or raise ContractError naming the marks that exist."""

@@ -123,3 +123,15 @@ def test_a_known_pose_changes_nothing_where_the_support_is_clear() -> None:
     assert len(posed.proposals) == 3
     for p, q in zip(posed.proposals, seen().proposals, strict=True):
         assert overlap(p.mask, q.mask) > 0.95
+
+
+def test_a_pose_whose_world_is_not_upright_is_named() -> None:
+    frame = rendered().frame
+    assert frame.T_world_camera is not None
+    lying = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # world turned about its x axis
+    scene = GeometricPerception().perceive(replace(frame, T_world_camera=lying @ frame.T_world_camera))
+    assert scene.proposals == ()
+    (said,) = scene.degraded
+    assert said.stage == "scene"
+    assert "z axis must point up" in said.reason
+    assert GeometricPerception().perceive(frame).degraded == ()

@@ -17,7 +17,7 @@ from thinkgrasp.perception.obstruction import obstruction_graph
 from thinkgrasp.perception.proposals import make_proposals
 from thinkgrasp.perception.superpixels import superpixels
 from thinkgrasp.perception.support import find_support
-from thinkgrasp.types import Array, CameraIntrinsics, Frame, Scene
+from thinkgrasp.types import Array, CameraIntrinsics, Degradation, Frame, Scene
 
 
 class GeometricPerception:
@@ -57,7 +57,11 @@ class GeometricPerception:
         up = None if frame.T_world_camera is None else frame.T_world_camera[2, :3]
         support = find_support(work_points, work_normals, up, np.random.default_rng(self.seed))
         if support is None:
-            return Scene(frame, points, normals)
+            what = (
+                "that is level by T_world_camera (the world's z axis must point up)" if up is not None else "in view"
+            )
+            reason = f"no support surface {what}"
+            return Scene(frame, points, normals, degraded=(Degradation("scene", reason, "no object proposals"),))
 
         lab = balance_white(lab_from_rgb(_shrunk(frame.color, scale)), ~support.plane.inliers)
         workspace = None if frame.workspace is None else frame.workspace[::scale, ::scale]
