@@ -57,9 +57,7 @@ class GeometricPerception:
         up = None if frame.T_world_camera is None else frame.T_world_camera[2, :3]
         support = find_support(work_points, work_normals, up, np.random.default_rng(self.seed))
         if support is None:
-            what = (
-                "that is level by T_world_camera (the world's z axis must point up)" if up is not None else "in view"
-            )
+            what = "that is level by T_world_camera (the world's z axis must point up)" if up is not None else "in view"
             reason = f"no support surface {what}"
             return Scene(frame, points, normals, degraded=(Degradation("scene", reason, "no object proposals"),))
 
