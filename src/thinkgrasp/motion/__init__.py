@@ -1,0 +1,1 @@
+"""From a grasp in the world to joint trajectories: kinematics, collision, planning, timing."""
