@@ -1,0 +1,66 @@
+"""Household objects made by code: every shape, mass and print follows from a name and a seed.
+
+Each family of things has a module with a table of `Entry` rows; what a row builds is put together from the solids of
+`solid`, whose visual and collision shapes come from the same numbers.
+"""
+
+from __future__ import annotations
+
+import difflib
+from functools import cache
+from typing import Literal
+
+from thinkgrasp.errors import ConfigError
+from thinkgrasp.sim.catalogue import (
+    balls,
+    bottles,
+    food,
+    fruit,
+    vessels,
+)
+from thinkgrasp.sim.catalogue.entry import Entry
+from thinkgrasp.sim.objects import SimObject
+
+__all__ = ["categories", "make", "names", "split"]
+
+_FAMILIES = (fruit, food, bottles, vessels, balls)
+_UNSEEN = frozenset(
+    """black marker|red marker|bleach cleanser|blue moon|gelatin box|magic clean|pink tea box|remote control|repellent
+    shampoo bottle|small clamp|soap dish|sugar box|white sugar box|two color hammer|yellow bowl|yellow cup|softball
+    tennis ball|red backpack|white ball|blue ball|battery|mango|hammer|kiwi|sponge|mustard bottle|rubiks cube
+    spoon|lime|stapler|tuna can|eggplant|milk carton""".replace("\n", "|").replace("    ", "").split("|")
+)
+
+
+@cache
+def _entries() -> dict[str, Entry]:
+    return {entry.name: entry for family in _FAMILIES for entry in family.ENTRIES}
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all objects."""
+    return tuple(_entries())
+
+
+def split(which: Literal["seen", "unseen"]) -> tuple[str, ...]:
+    """Return the names for ordinary clutter ("seen") or for the heavy suite ("unseen"); no name is in both."""
+    return tuple(name for name in names() if (name in _UNSEEN) == (which == "unseen"))
+
+
+def categories() -> tuple[str, ...]:
+    """Return the categories of all objects, sorted."""
+    return tuple(sorted({entry.category for entry in _entries().values()}))
+
+
+def make(name: str, seed: int = 0) -> SimObject:
+    """Build an object; the seed varies its size, shade and print, and the same seed gives the same bits.
+
+    Raises:
+        ConfigError: No object of that name; the message says which is close.
+    """
+    entries = _entries()
+    if name not in entries:
+        close = difflib.get_close_matches(name, entries, n=1)
+        hint = f"did you mean {close[0]!r}? " if close else ""
+        raise ConfigError(f"no catalogue object {name!r}; {hint}{len(entries)} names are listed by catalogue.names()")
+    return entries[name].make(seed)
