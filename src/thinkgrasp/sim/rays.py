@@ -1,5 +1,8 @@
 """Ray casting into a MuJoCo world, over several threads."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's module is compiled and has no stubs.
+
 from __future__ import annotations
 
 import copy
@@ -28,8 +31,8 @@ class Hits:
     """(N,) geom id, -1 = none."""
     distances: Float
     """(N,) in lengths of the ray's direction; -1 = none."""
-    normals: Float | None
-    """(N, 3) unit, outward, world; None unless asked for."""
+    normals: Float
+    """(N, 3) unit, outward, world; (0, 3) unless asked for."""
 
 
 def cast(
@@ -79,4 +82,4 @@ def cast(
         states = [data, *(copy.copy(data) for _ in range(workers - 1))]
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(part, states, ends[:-1].tolist(), ends[1:].tolist()))
-    return Hits(geoms[:, 0], distances[:, 0], None if normal is None else normal.reshape(-1, 3))
+    return Hits(geoms[:, 0], distances[:, 0], np.empty((0, 3)) if normal is None else normal.reshape(-1, 3))

@@ -3,6 +3,9 @@
 Light is computed in linear RGB and encoded as sRGB, so that a surface in the shade keeps its hue.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's module is compiled and has no stubs.
+
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -56,6 +59,11 @@ class Rendering:
     normals: Array
     """(H, W, 3) unit, towards the camera, world frame; 0 where nothing was hit."""
 
+    def cosine(self, view: CameraView) -> Array:
+        """Return the cosine (H, W) between the surface's normal and the ray; 0 where nothing was hit."""
+        towards = -_unit(view.rays.astype(np.float32)).reshape(self.normals.shape)
+        return np.clip(np.einsum("hwi,hwi->hw", self.normals, towards), 0, 1)
+
 
 def render(
     model: mujoco.MjModel,
@@ -81,7 +89,6 @@ def render(
     light = light or Light()
     size = (view.intrinsics.height, view.intrinsics.width)
     first = cast(model, data, view.eye, view.rays, normals=True, threads=threads)
-    assert first.normals is not None
     index = np.flatnonzero((first.geoms >= 0) & (first.distances <= FAR_M))
     geoms = first.geoms[index]
     rays = view.rays[index]

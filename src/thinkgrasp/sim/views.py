@@ -49,7 +49,7 @@ class CameraView:
 
     @cached_property
     def rays(self) -> Float:
-        """(H*W, 3) directions in the world, row by row, as long as one metre of depth: eye + depth * ray is the point."""
+        """(H*W, 3) directions in the world, row by row, scaled so that a point is eye + depth * ray."""
         c, R = self.intrinsics, self.T_world_camera[:3, :3]
         x = (np.arange(c.width) - c.cx) / c.fx
         y = (np.arange(c.height) - c.cy) / c.fy
