@@ -76,7 +76,8 @@ class Pipeline:
         scene = self._perceive(frame)
         clock.lap("scene")
 
-        plan = self.planner.plan(scene, instruction, memory or Memory())
+        memory = (memory or Memory()).seen_from(frame.T_world_camera)
+        plan = self.planner.plan(scene, instruction, memory)
         clock.lap("plan")
         degraded = (*scene.degraded, *plan.degraded)
         decision = Decision("no_target", instruction, scene, plan, degraded=degraded)
@@ -95,12 +96,12 @@ class Pipeline:
         clock.lap("generate")
 
         for target in segmentation.segments:
-            kept, funnel = self._check(scene, target, grasps)
+            kept, funnel = self._check(scene, target, grasps, memory)
             if len(kept):
                 break
         else:
             target = segmentation.segments[0]
-            kept, funnel = self._check(scene, target, grasps)
+            kept, funnel = self._check(scene, target, grasps, memory)
         clock.lap("check")
         if target is not segmentation.segments[0]:
             reason = f"no grasp on the best match ({segmentation.segments[0].label}) survived the checks"
@@ -135,8 +136,14 @@ class Pipeline:
             return Scene(frame, deproject(frame.depth, frame.camera))
         return self.scene.perceive(frame)
 
-    def _check(self, scene: Scene, target: Segment, grasps: Grasps) -> tuple[Grasps, tuple[FunnelStep, ...]]:
+    def _check(
+        self, scene: Scene, target: Segment, grasps: Grasps, memory: Memory
+    ) -> tuple[Grasps, tuple[FunnelStep, ...]]:
         funnel = [FunnelStep("candidates", len(grasps), len(grasps))]
+        if memory.attempts:
+            new = ~memory.repeats(grasps)
+            funnel.append(FunnelStep("not_failed_before", len(grasps), int(new.sum())))
+            grasps = grasps[new]
         for name, check in self.checks.items():
             keep = check.keep(scene, target, grasps, self.gripper)
             if keep.shape != (len(grasps),) or keep.dtype != np.bool_:

@@ -105,7 +105,7 @@ def _hinge(body: mujoco.MjsBody, name: str, side: int, limits: tuple[float, floa
 
 
 def _couple(spec: mujoco.MjSpec, joint: str, driver: str, ratio: float) -> None:
-    data = np.zeros(11)
+    data = np.zeros(mujoco.mjNEQDATA)
     data[1] = ratio
     spec.add_equality(
         type=mujoco.mjtEq.mjEQ_JOINT,

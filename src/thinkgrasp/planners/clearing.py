@@ -84,11 +84,13 @@ def way_to(scene: Scene, goal: int, skip: Collection[int] = ()) -> Way:
 
 @dataclass(frozen=True)
 class Hider:
-    """A thing that may hide an unseen goal."""
+    """A thing that may hide an unseen goal, or is only next in turn."""
 
     mark: int
     score: float
     reason: str
+    suspected: bool = True
+    """Whether something speaks for its hiding the goal."""
 
 
 def likely_hider(
@@ -127,6 +129,16 @@ def likely_hider(
             if shortest_m <= min(depth, height / 2) and longest_m <= max(width, depth):
                 reason = f"the camera does not see {width:.2f} x {depth:.2f} m behind it"
                 found.append(Hider(thing.mark, width * depth, reason))
+    return max(found, key=lambda h: (h.score, -h.mark), default=None)
+
+
+def next_to_clear(scene: Scene, skip: Collection[int] = ()) -> Hider | None:
+    """Find the thing to remove where nothing in particular is known to hide the goal: free, whole, and the highest."""
+    found = [
+        Hider(p.mark, p.height_m[1] * p.confidence, f"it is free and {p.height_m[1]:.2f} m high", False)
+        for p in scene.proposals
+        if p.mark not in skip and p.confidence >= MIN_CONFIDENCE and not in_the_way(scene, p.mark, skip)
+    ]
     return max(found, key=lambda h: (h.score, -h.mark), default=None)
 
 

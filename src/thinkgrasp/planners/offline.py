@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
+
+from scipy import ndimage
 
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.language.evidence import knowledge_arrays
@@ -21,16 +24,18 @@ from thinkgrasp.language.vocabulary import load_vocabulary
 from thinkgrasp.language.wanted import Query, Wanted
 from thinkgrasp.memory import Memory
 from thinkgrasp.planners.cells import CellChoice, Outline, choose_cell, part_region
-from thinkgrasp.planners.clearing import Way, likely_hider, way_to
+from thinkgrasp.planners.clearing import Hider, Way, likely_hider, next_to_clear, way_to
 from thinkgrasp.types import Degradation, Mask, Obstruction, Plan, PlanKind, PlannedObject, Proposal, Scene
 
 FAILURE_PENALTY = 0.7
 """Factor on a match's score per failed attempt at it."""
-MAX_FAILURES = 3
-"""After so many failed attempts a thing in the way is left where it is."""
 CLOSE_SCORE = 0.85
 """Among matches this close to the best one, a free one is taken before an obstructed one."""
+BORDER_SHARE = 1.2
+"""What the image border or the workspace edge cuts has to answer this much better than the least score."""
 MAX_LISTED = 8
+
+Search = Literal["piles", "anywhere", "all"]
 
 
 class OfflinePlanner:
@@ -40,7 +45,8 @@ class OfflinePlanner:
         grid: Cells per side of the target's box.
         min_score: A thing that answers to the instruction less than this is no match.
         max_width_m: Gripper opening that grasp scores are judged by [m].
-        search: Where a goal that is not seen is looked for: in piles only, or behind tall things that stand free too.
+        search: Where a goal that is not seen is looked for: in piles only; behind tall things that stand free too
+            ("anywhere"); or by clearing whatever is left ("all"), for a loop that is told the goal is there.
 
     Raises:
         ConfigError: A setting is out of range.
@@ -52,7 +58,7 @@ class OfflinePlanner:
         grid: int = 3,
         min_score: float = MIN_SCORE,
         max_width_m: float = 0.085,
-        search: Literal["piles", "anywhere"] = "piles",
+        search: Search = "piles",
     ) -> None:
         if not 1 <= grid <= 15:
             raise ConfigError(f"offline planner: grid must be within 1..15, got {grid}")
@@ -60,8 +66,8 @@ class OfflinePlanner:
             raise ConfigError(f"offline planner: min_score must lie in (0, 1), got {min_score}")
         if not 0 < max_width_m < 1:
             raise ConfigError(f"offline planner: max_width_m must lie in (0, 1) m, got {max_width_m}")
-        if search not in ("piles", "anywhere"):
-            raise ConfigError(f"offline planner: search must be 'piles' or 'anywhere', got {search!r}")
+        if search not in get_args(Search):
+            raise ConfigError(f"offline planner: search must be one of {', '.join(get_args(Search))}, got {search!r}")
         self.grid = grid
         self.search = search
         self.min_score = min_score
@@ -78,21 +84,19 @@ class OfflinePlanner:
             reason = f"the instruction names nothing that I understand{listed}"
             return self._nothing(query, f"{reason}; in view: {self._in_view(scene)}")
         grounding = _without_failures(ground(scene, query), scene, memory)
-        worn_out = {p.mark for p in scene.proposals if len(memory.failures_at(p)) >= MAX_FAILURES}
-        goal = self._goal(scene, grounding, worn_out)
+        worn_out = {p.mark for p in scene.proposals if memory.is_worn_out(p)}
+        fitting = [m for m in grounding.fitting(self.min_score) if self._is_sure(scene.proposal(m.mark), scene, m)]
+        goal = _goal([m for m in fitting if m.mark not in worn_out], scene, worn_out)
         if goal is None:
-            return self._search(scene, query, grounding, memory, worn_out)
+            return self._search(scene, query, grounding, fitting, memory, worn_out)
         way = way_to(scene, goal.mark, worn_out)
         if way.first == goal.mark:
             return self._take_goal(scene, query, grounding, goal, memory)
         return self._clear(scene, query, grounding, goal, way, memory)
 
-    def _goal(self, scene: Scene, grounding: Grounding, worn_out: set[int]) -> Match | None:
-        fitting = grounding.fitting(self.min_score)
-        if not fitting:
-            return None
-        close = [m for m in fitting if m.score >= CLOSE_SCORE * fitting[0].score]
-        return next((m for m in close if way_to(scene, m.mark, worn_out).first == m.mark), fitting[0])
+    def _is_sure(self, thing: Proposal, scene: Scene, match: Match) -> bool:
+        """Whether a match holds although something may cut the thing off."""
+        return match.score >= BORDER_SHARE * self.min_score or not _is_cut(thing, scene)
 
     def _take_goal(self, scene: Scene, query: Query, grounding: Grounding, goal: Match, memory: Memory) -> Plan:
         thing = scene.proposal(goal.mark)
@@ -133,22 +137,32 @@ class OfflinePlanner:
             degraded=spot.degraded,
         )
 
-    def _search(self, scene: Scene, query: Query, grounding: Grounding, memory: Memory, worn_out: set[int]) -> Plan:
+    def _search(
+        self,
+        scene: Scene,
+        query: Query,
+        grounding: Grounding,
+        fitting: Sequence[Match],
+        memory: Memory,
+        worn_out: set[int],
+    ) -> Plan:
         names = _names(scene, grounding, self.min_score)
-        best = grounding.matches[0]
-        missing = f"nothing in view answers to {query.label!r} (closest: {names[best.mark]} with {best.score:.2f})"
-        size = _smallest_size(query)
-        hider = None
-        if size is not None:
-            hider = likely_hider(scene, *size, in_piles_only=self.search == "piles", skip=worn_out)
-        elif any(w.colors or w.shapes for w in query.wanted):
-            hider = likely_hider(scene, 0.08, 0.03, in_piles_only=True, skip=worn_out)
+        if fitting:
+            missing = f"{fitting[0].label} (mark {fitting[0].mark}) is left for later, as taking it failed"
+        else:
+            best = grounding.matches[0]
+            closest = f"(closest: {names[best.mark]} with {best.score:.2f})"
+            missing = f"nothing in view answers to {query.label!r} {closest}"
+        hider = self._hider(scene, query, worn_out | {m.mark for m in fitting})
+        if hider is None and fitting:
+            return self._take_goal(scene, query, grounding, fitting[0], memory)
         if hider is None:
             reason = f"{missing}, and nothing that could hide it; in view: {self._in_view(scene)}"
             plan = self._nothing(query, reason + _remarks(query, grounding))
             return replace(plan, objects=self._objects(scene, grounding))
         spot = _spot(scene, scene.proposal(hider.mark), self.grid, None, None, memory)
-        rationale = f"{missing}; {names[hider.mark]} (mark {hider.mark}) most likely hides it, because {hider.reason}"
+        what = "most likely hides it" if hider.suspected else "goes first"
+        rationale = f"{missing}; {names[hider.mark]} (mark {hider.mark}) {what}, because {hider.reason}"
         return Plan(
             target=names[hider.mark],
             rationale=f"{rationale}. {spot.because}{_remarks(query, grounding)}",
@@ -160,6 +174,15 @@ class OfflinePlanner:
             objects=self._objects(scene, grounding),
             degraded=spot.degraded,
         )
+
+    def _hider(self, scene: Scene, query: Query, skip: set[int]) -> Hider | None:
+        size = _smallest_size(query)
+        hider = None
+        if size is not None:
+            hider = likely_hider(scene, *size, in_piles_only=self.search == "piles", skip=skip)
+        elif any(w.colors or w.shapes for w in query.wanted):
+            hider = likely_hider(scene, 0.08, 0.03, in_piles_only=True, skip=skip)
+        return next_to_clear(scene, skip) if hider is None and self.search == "all" else hider
 
     def _nothing(self, query: Query, rationale: str) -> Plan:
         middle = (self.grid**2 + 1) // 2
@@ -180,6 +203,24 @@ class OfflinePlanner:
         names = list(_names(scene, Grounding(()), self.min_score).values())
         more = f" and {len(names) - MAX_LISTED} more" if len(names) > MAX_LISTED else ""
         return ", ".join(names[:MAX_LISTED]) + more
+
+
+def _goal(matches: Sequence[Match], scene: Scene, worn_out: set[int]) -> Match | None:
+    """Return the best match, or one nearly as good with nothing in its way."""
+    if not matches:
+        return None
+    close = [m for m in matches if m.score >= CLOSE_SCORE * matches[0].score]
+    return next((m for m in close if way_to(scene, m.mark, worn_out).first == m.mark), matches[0])
+
+
+def _is_cut(thing: Proposal, scene: Scene) -> bool:
+    """Whether a thing reaches out of the image or of the workspace."""
+    workspace = scene.frame.workspace
+    if thing.touches_border or workspace is None:
+        return thing.touches_border
+    around = ndimage.binary_dilation(thing.mask, iterations=2).astype(bool)
+    outside = around & ~workspace & (scene.frame.depth > 0)
+    return int(outside.sum()) > 0.05 * int(around.sum())
 
 
 @dataclass(frozen=True)

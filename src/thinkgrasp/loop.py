@@ -1,0 +1,174 @@
+"""The closed loop: observe, decide, execute, verify, remember, until the goal is delivered. Knows no simulator."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from thinkgrasp.errors import ConfigError
+from thinkgrasp.interfaces import Camera, Recorder, Robot
+from thinkgrasp.memory import Attempt, Memory
+from thinkgrasp.pipeline import Pipeline, check_instruction
+from thinkgrasp.types import Decision, Frame, Outcome
+
+End = Literal["goal_delivered", "step_limit", "nothing_left", "no_grasp", "stopped"]
+END_WORDS: dict[End, str] = {
+    "goal_delivered": "the goal is in the bin",
+    "step_limit": "all attempts are used up",
+    "nothing_left": "nothing in view answers to the instruction or can hide it",
+    "no_grasp": "no grasp on anything that could be taken survived the checks",
+    "stopped": "whoever watches stopped the episode",
+}
+
+Referee = Callable[[Decision, Outcome], bool]
+"""Says after a successful attempt whether the goal was delivered: the person at the bin. Planning never sees it."""
+
+MAX_REPLANS = 6
+"""So many things without a grasp are put aside in one step before the step gives up."""
+STILL_THERE_SHARE = 0.6
+STILL_THERE_M = 0.01
+"""A thing is still there where this share of its pixels has not moved by more than this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One turn of the loop: what was decided, and what became of it (None: nothing was executed)."""
+
+    decision: Decision
+    outcome: Outcome | None
+    duration_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """A whole run of the loop."""
+
+    instruction: str
+    steps: tuple[Step, ...]
+    end: End
+
+    @property
+    def success(self) -> bool:
+        """Whether the goal was delivered."""
+        return self.end == "goal_delivered"
+
+    @property
+    def attempts(self) -> int:
+        """How many grasps were executed."""
+        return sum(s.outcome is not None for s in self.steps)
+
+
+def run_episode(
+    cameras: Sequence[Camera],
+    pipeline: Pipeline,
+    robot: Robot,
+    instruction: str,
+    *,
+    step_limit: int = 15,
+    referee: Referee | None = None,
+    recorders: Iterable[Recorder] = (),
+    stop: Callable[[], bool] = lambda: False,
+) -> Episode:
+    """Clear the way to the goal and deliver it.
+
+    Args:
+        cameras: The first one is looked through; the others only where it shows no grasp. Their poses must be known to
+            share what was remembered.
+        pipeline: One frame and the instruction to one decision.
+        robot: Executes a grasp and puts what it holds away.
+        instruction: What a person said.
+        step_limit: At most so many attempts.
+        referee: Says whether the goal was delivered; without one, a successful attempt at what the plan calls the goal
+            counts.
+        recorders: Told every step when it is finished.
+        stop: Asked before every step.
+
+    Returns:
+        The steps and the named reason of the end.
+
+    Raises:
+        ConfigError: No camera, or a step limit that is not positive.
+        InputError: The instruction is empty or too long.
+    """
+    if not cameras or step_limit < 1:
+        raise ConfigError(f"an episode needs a camera and at least one step, got {len(cameras)} and {step_limit}")
+    instruction = check_instruction(instruction)
+    recorders = tuple(recorders)
+    memory = Memory()
+    steps: list[Step] = []
+    frame = cameras[0].read()
+
+    def finish(end: End) -> Episode:
+        return Episode(instruction, tuple(steps), end)
+
+    while len(steps) < step_limit:
+        if stop():
+            return finish("stopped")
+        start = time.perf_counter()
+        decision, memory = _decide(frame, cameras, pipeline, instruction, memory)
+        outcome: Outcome | None = None
+        if decision.grasp is not None:
+            outcome = robot.execute(decision.grasp, decision.scene.frame)
+            frame = cameras[0].read()
+            after = frame if decision.scene.frame.T_world_camera is frame.T_world_camera else None
+            if outcome.success and after is not None and is_still_there(decision, after):
+                outcome = Outcome(False, "still_there")
+            memory = _remember(memory, decision, outcome)
+        steps.append(Step(decision, outcome, time.perf_counter() - start))
+        for recorder in recorders:
+            recorder.record(decision, outcome)
+        if outcome is None:
+            return finish("nothing_left" if decision.status == "no_target" else "no_grasp")
+        if outcome.success and (referee(decision, outcome) if referee else decision.plan.role == "goal"):
+            return finish("goal_delivered")
+    return finish("step_limit")
+
+
+def is_still_there(decision: Decision, after: Frame) -> bool:
+    """Whether a thing that is said to be removed is seen where it was; both frames are of one camera that stood still."""
+    if decision.target is None:
+        return False
+    before = decision.scene.frame.depth[decision.target.mask]
+    now = after.depth[decision.target.mask]
+    seen = (before > 0) & (now > 0)
+    if seen.sum() < 20:
+        return False
+    same = np.abs(before[seen] - now[seen]) <= STILL_THERE_M
+    return float(same.mean()) >= STILL_THERE_SHARE
+
+
+def _decide(
+    frame: Frame, cameras: Sequence[Camera], pipeline: Pipeline, instruction: str, memory: Memory
+) -> tuple[Decision, Memory]:
+    """Decide on this frame; where no grasp survives, from the other cameras, then on something else."""
+    decision = pipeline.decide(frame, instruction, memory)
+    for replans in range(MAX_REPLANS + 1):
+        if decision.grasp is not None or decision.status == "no_target" and replans:
+            break
+        for camera in cameras[1:]:
+            other = pipeline.decide(camera.read(), instruction, memory)
+            if other.grasp is not None:
+                return other, memory
+        if decision.status == "no_target" or replans == MAX_REPLANS:
+            break
+        memory = _remember(memory, decision, Outcome(False, "no_grasp"))
+        decision = pipeline.decide(frame, instruction, memory)
+    return decision, memory
+
+
+def _remember(memory: Memory, decision: Decision, outcome: Outcome) -> Memory:
+    """Return the memory with this attempt, placed where the thing's centre was."""
+    scene, plan = decision.scene, decision.plan
+    mark = decision.target.mark if decision.target is not None else plan.mark
+    if mark is not None:
+        center = scene.proposal(mark).center_m
+    elif decision.preferred_point is not None:
+        center = decision.preferred_point
+    else:
+        return memory
+    memory = memory.seen_from(scene.frame.T_world_camera)
+    return memory.remember(Attempt(plan.target, plan.cell, decision.grasp, np.asarray(center, np.float64), outcome))
