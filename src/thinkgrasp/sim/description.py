@@ -27,12 +27,12 @@ class Description:
 
 
 def known_kind(name: str) -> KnownObject | None:
-    """Return what the household knowledge has under a name or a synonym ("soup can", "coke"), or None."""
-    sentences = read(name)
-    if len(sentences) != 1 or len(sentences[0]) != 1:
-        return None
-    kind = sentences[0][0].senses.get("name")
-    return None if kind is None else load_knowledge().objects[kind]
+    """Return the kind in the household knowledge that a name ends in, by its name or a synonym, or None.
+
+    "soup can" and "my tomato soup can" are a tomato soup can, "mug 2" is a mug.
+    """
+    kinds = [lexeme.senses["name"] for sentence in read(name) for lexeme in sentence if lexeme.has("name")]
+    return load_knowledge().objects[kinds[-1]] if kinds else None
 
 
 def read_description(path: Path, folder_name: str) -> Description:
