@@ -1,17 +1,17 @@
 """An episode as files: the schemas, and reading back what was recorded.
 
-    FOLDER/
-      header.json           EpisodeHeader: what was asked, of which preset and seed
-      episode.jsonl         StepLine per finished step; written last, so what is listed is complete
-      episode.json          EpisodeModel; there once the episode has ended
-      report.html           the page for people, renewed after every step
-      episode.webp          the video, if one was made
-      steps/001/
-        color.png depth.png camera.json     the frame
-        decision.json                       DecisionModel
-        scene.json                          SceneModel: what perception saw
-        outcome.json                        OutcomeModel, or null where nothing was executed
-        overlay.png panel.html              the step for people
+FOLDER/
+  header.json           EpisodeHeader: what was asked, of which preset and seed
+  episode.jsonl         StepLine per finished step; written last, so what is listed is complete
+  episode.json          EpisodeModel; there once the episode has ended
+  report.html           the page for people, renewed after every step
+  episode.webp          the video, if one was made
+  steps/001/
+    color.png depth.png camera.json     the frame
+    decision.json                       DecisionModel
+    scene.json                          SceneModel: what perception saw
+    outcome.json                        OutcomeModel, or null where nothing was executed
+    overlay.png panel.html              the step for people
 """
 
 from __future__ import annotations
@@ -144,10 +144,10 @@ class StepLike(Protocol):
     """What `episode_to_schema` needs of a step."""
 
     @property
-    def decision(self) -> Decision: ...  # noqa: D102
+    def decision(self) -> Decision: ...
 
     @property
-    def outcome(self) -> Outcome | None: ...  # noqa: D102
+    def outcome(self) -> Outcome | None: ...
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,13 @@ def scene_to_schema(scene: Scene) -> SceneModel:
 
 
 def episode_to_schema(
-    steps: Iterable[StepLike], *, header: EpisodeHeader, end: str, success: bool, out: str | Path, with_masks: bool = True
+    steps: Iterable[StepLike],
+    *,
+    header: EpisodeHeader,
+    end: str,
+    success: bool,
+    out: str | Path,
+    with_masks: bool = True,
 ) -> EpisodeModel:
     """Turn the steps of an episode into its published form.
 

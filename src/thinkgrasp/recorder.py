@@ -182,5 +182,5 @@ def _sync(path: Path) -> None:
 
 def _png(image: Image.Image) -> bytes:
     buffer = io.BytesIO()
-    image.save(buffer, "PNG")
+    image.save(buffer, "PNG", compress_level=3)
     return buffer.getvalue()

@@ -14,7 +14,7 @@ from thinkgrasp.types import Decision
 from thinkgrasp.viz import view
 
 MAX_CANDIDATES = 12
-SHARES = (("target", 4000), ("objects", 5000), ("rest", 3000))
+SHARES = (("target", 4500), ("objects", 5500), ("rest", 5000))
 """Most points of the target, of the other objects, and of everything else."""
 
 

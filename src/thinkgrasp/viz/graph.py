@@ -13,7 +13,7 @@ MARGIN = 20.0
 PUSHES = 80
 """Rounds of moving overlapping nodes apart."""
 
-MEANING = {"hides": "hides", "rests_on": "rests on", "blocks": "blocks the fingers at"}
+MEANING = {"rests_on": "rests on", "hides": "hides", "blocks": "blocks"}
 
 
 def draw_graph(scene: Scene, target: int | None) -> str:
@@ -53,7 +53,7 @@ def describe(edge: Obstruction) -> str:
 
 
 def evidence(edge: Obstruction) -> str:
-    """Say an edge's evidence in its unit: shared border of a hiding thing, gap under a resting one, room for a finger."""
+    """Say an edge's evidence: the shared border [px], the gap under what rests, or the room for a finger [mm]."""
     if edge.unit == "px":
         return f"{edge.evidence:.0f} px of its edge"
     millimetres = f"{abs(edge.evidence) * 1e3:.0f} mm"
@@ -98,7 +98,7 @@ def _arrow(start: Float, end: Float, edges: list[Obstruction], *, bent: bool, to
     heading /= max(float(np.linalg.norm(heading)), 1e-6)
     across = np.array([-heading[1], heading[0]])
     head = " ".join(f"{x:.1f},{y:.1f}" for x, y in (b, b - 7 * heading + 3.6 * across, b - 7 * heading - 3.6 * across))
-    kind = min((e.relation for e in edges), key=["rests_on", "hides", "blocks"].index)
+    kind = min((e.relation for e in edges), key=list(MEANING).index)
     tip = b - 5 * heading
     return (
         f'<g class="edge {kind}{" hot" if toward_target else ""}"><title>{"; ".join(map(describe, edges))}</title>'

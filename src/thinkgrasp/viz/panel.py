@@ -12,9 +12,9 @@ from PIL import Image
 
 from thinkgrasp.episode import OutcomeModel, StepLine
 from thinkgrasp.gripper import Gripper
-from thinkgrasp.types import Decision, Outcome
+from thinkgrasp.types import Decision, Outcome, Proposal
 from thinkgrasp.viz.compact import compact_scene
-from thinkgrasp.viz.graph import describe, draw_graph
+from thinkgrasp.viz.graph import MEANING, describe, draw_graph
 from thinkgrasp.viz.overlay import draw_overlay
 
 WEBP_QUALITY = 78
@@ -132,20 +132,22 @@ def _seen(step: int, decision: Decision, gripper: Gripper, picture: Image.Image)
 def _space(decision: Decision, gripper: Gripper) -> str:
     """A place for the turntable, filled by the page's script when it comes into view."""
     camera = decision.scene.frame.camera
+    toggle = '<button type="button" data-toggle="candidates" aria-pressed="true">Candidates</button>'
+    toggle = toggle if decision.alternatives else ""
     return (
         f'<figure class="space" style="aspect-ratio:{camera.width}/{camera.height}">'
         '<canvas tabindex="0" role="img" aria-label="The point cloud with the gripper and the candidates"></canvas>'
         '<button type="button" class="wake">Turn it in 3-D</button>'
         '<div class="views"><button type="button" data-view="camera">Camera</button>'
         '<button type="button" data-view="close">Close-up</button>'
-        '<button type="button" data-toggle="candidates" aria-pressed="true">Candidates</button></div>'
+        f"{toggle}</div>"
         f'<script type="application/json">{compact_scene(decision, gripper)}</script></figure>'
     )
 
 
 def _plan(decision: Decision) -> str:
     plan, target, grasp = decision.plan, decision.target, decision.grasp
-    role = "the goal itself" if plan.role == "goal" else "in the way of the goal"
+    role = "the goal" if plan.role == "goal" else "an obstruction"
     facts = [("Take", text(plan.target)), ("It is", role)]
     if plan.mark is not None:
         facts.append(("Mark", str(plan.mark)))
@@ -157,12 +159,29 @@ def _plan(decision: Decision) -> str:
         facts.append(("Opening", f"{grasp.width_m * 1e3:.0f} mm"))
         facts.append(("Grasp score", f"{grasp.score:.2f}"))
     rows = "".join(f'<dt>{name}</dt><dd dir="auto">{value}</dd>' for name, value in facts)
-    return f"<section><h3>Plan</h3><dl>{rows}</dl></section>"
+    return f"<section><h3>Plan</h3><dl>{rows}</dl>{_considered(decision)}</section>"
+
+
+def _considered(decision: Decision) -> str:
+    """What the planner thought of, with its opinion of how well each can be grasped."""
+    objects = sorted(decision.plan.objects, key=lambda o: -o.grasp_score)
+    if not objects:
+        return ""
+    rows = "".join(f"<li>{text(o.name)} <b>{o.grasp_score:.0f}</b></li>" for o in objects)
+    note = '<p class="quiet">How well it can be grasped, 0–100.</p>'
+    return _details(f"{_count(len(objects), 'object')} considered", f'<ul class="scores">{rows}</ul>{note}')
+
+
+def _count(n: int, noun: str) -> str:
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+CHOSEN = ' class="chosen"'
 
 
 def _cells(grid: int, cell: int) -> str:
     squares = "".join(
-        f'<rect x="{i % grid}" y="{i // grid}" width=".86" height=".86"{" class=chosen" if i + 1 == cell else ""}/>'
+        f'<rect x="{i % grid}" y="{i // grid}" width=".86" height=".86"{CHOSEN if i + 1 == cell else ""}/>'
         for i in range(grid * grid)
     )
     return f'<svg class="cells" viewBox="0 0 {grid} {grid}" aria-hidden="true">{squares}</svg>'
@@ -173,18 +192,38 @@ def _graph(decision: Decision) -> str:
     if not scene.proposals:
         return ""
     mark = decision.plan.mark
-    first = sorted(scene.obstructions, key=lambda e: e.b != mark)
-    items = "".join(f"<li{' class=hot' if e.b == mark else ''}>{describe(e)}</li>" for e in first)
-    said = f"<ul>{items}</ul>" if items else '<p class="quiet">Nothing is in the way of anything.</p>'
-    legend = (
-        '<p class="legend"><span class="rests_on">rests on</span><span class="hides">hides</span>'
-        '<span class="blocks">blocks</span></p>'
-    )
-    listed = f"<details><summary>{len(first)} relations</summary>{said}</details>" if len(first) > 4 else said
-    return (
-        f'<section class="wide"><h3>What is in whose way</h3>{draw_graph(scene, mark)}{legend}'
-        f"{listed}</section>"
-    )
+    hot = [e for e in scene.obstructions if e.b == mark]
+    cold = [e for e in scene.obstructions if e.b != mark]
+    parts = [draw_graph(scene, mark)]
+    kinds = [kind for kind in MEANING if any(e.relation == kind for e in scene.obstructions)]
+    if kinds:
+        names = "".join(f'<span class="{kind}">{MEANING[kind]}</span>' for kind in kinds)
+        parts.append(f'<p class="legend">{names}</p>')
+    if hot:
+        parts.append(_list("hot", map(describe, hot)))
+    elif mark is not None:
+        parts.append(f'<p class="quiet">Nothing is in the way of {mark}.</p>')
+    if cold:
+        noun = "other relation" if hot else "relation"
+        parts.append(_details(_count(len(cold), noun), _list("", map(describe, cold))))
+    parts.append(_details(f"{_count(len(scene.proposals), 'thing')} seen", _list("", map(_looks, scene.proposals))))
+    return f"<section><h3>What is in whose way</h3>{''.join(parts)}</section>"
+
+
+def _list(kind: str, items: Iterable[str]) -> str:
+    return f'<ul class="{kind}">' + "".join(f"<li>{text(item)}</li>" for item in items) + "</ul>"
+
+
+def _details(summary: str, body: str) -> str:
+    return f"<details><summary>{summary}</summary>{body}</details>"
+
+
+def _looks(proposal: Proposal) -> str:
+    """A proposal in words: mark, main colour and shape, sides."""
+    names = [pairs[0][0] for pairs in (proposal.colors, proposal.shapes) if pairs]
+    sides = " × ".join(f"{100 * side:.0f}" for side in proposal.extents_m)
+    cut = "; cut by the border" if proposal.touches_border else ""
+    return f"{proposal.mark}: {', '.join([*names, f'{sides} cm'])}{cut}"
 
 
 def _checks(decision: Decision) -> str:
@@ -193,7 +232,11 @@ def _checks(decision: Decision) -> str:
     first = max(decision.funnel[0].n_in, 1)
     rows = [(s.check, str(s.n_out), s.n_out / first) for s in decision.funnel]
     chosen = 1 if decision.grasp is not None else 0
-    return "<section><h3>Grasps left after each check</h3>" + _bars([*rows, ("chosen", str(chosen), chosen / first)]) + "</section>"
+    return (
+        "<section><h3>Grasps left after each check</h3>"
+        + _bars([*rows, ("chosen", str(chosen), chosen / first)])
+        + "</section>"
+    )
 
 
 def _times(decision: Decision, duration_s: float) -> str:

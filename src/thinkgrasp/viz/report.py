@@ -7,10 +7,10 @@ import re
 from importlib import resources
 from pathlib import Path
 
-from thinkgrasp.episode import REPORT_FILE, VIDEO_FILE, RecordedEpisode, RecordedStep, read_episode
+from thinkgrasp.episode import REPORT_FILE, VIDEO_FILE, RecordedEpisode, RecordedStep, StepLine, read_episode
 from thinkgrasp.errors import InputError
 from thinkgrasp.outputs import write_atomic
-from thinkgrasp.viz.panel import badge, text, title
+from thinkgrasp.viz.panel import badge, text
 
 MAX_INLINE_VIDEO_BYTES = 16_000_000
 """A larger video is linked, not put into the page."""
@@ -63,7 +63,9 @@ def _panel(step: RecordedStep) -> str:
 def _header(episode: RecordedEpisode) -> str:
     header, ended, n = episode.header, episode.ended, len(episode.steps)
     if ended is None:
-        verdict = '<span class="badge none"><i aria-hidden="true">…</i>Not ended</span><span>The records end here.</span>'
+        verdict = (
+            '<span class="badge none"><i aria-hidden="true">…</i>Not ended</span><span>The records end here.</span>'
+        )
     else:
         kind, sign, words = ("good", "✓", "Goal reached") if ended.success else ("bad", "✕", "Goal not reached")
         verdict = (
@@ -83,7 +85,7 @@ def _header(episode: RecordedEpisode) -> str:
     rows = "".join(f'<div><dt>{name}</dt><dd dir="auto">{value}</dd></div>' for name, value in facts)
     items = "".join(
         f'<li><a href="#step-{s.line.step}"><b>{s.line.step}</b>'
-        f'<span class="name" dir="auto">{title(s.line.status, s.line.role, s.line.target)}</span>'
+        f'<span class="name" dir="auto">{_short(s.line)}</span>'
         f"{badge(s.line.status, s.line.outcome)}</a></li>"
         for s in episode.steps
     )
@@ -92,6 +94,11 @@ def _header(episode: RecordedEpisode) -> str:
         f'<div class="verdict">{verdict}</div>{_oracle(header.preset)}<dl class="facts">{rows}</dl>'
         f'<nav aria-label="Steps"><ol class="steps-nav">{items}</ol></nav>'
     )
+
+
+def _short(line: StepLine) -> str:
+    verb = "Seek" if line.status == "no_target" else "Take" if line.role == "goal" else "Clear"
+    return f"{verb} {text(line.target)}"
 
 
 def _oracle(preset: str) -> str:
