@@ -1,0 +1,196 @@
+"""Motions of the arm: to a grasp and up with it, to a place, and home; collision-free and timed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thinkgrasp.errors import ConfigError
+from thinkgrasp.motion import ur5e
+from thinkgrasp.motion.collision import CarriedBox, Phase, PlanningWorld
+from thinkgrasp.motion.paths import PathBudget, PathPlanner, PathQuery
+from thinkgrasp.motion.rrt_connect import rrt_connect
+from thinkgrasp.motion.straight import SPACING_M, StraightGrasps, flange_poses, straight_grasps
+from thinkgrasp.motion.trajectory import Trajectory, time_path
+
+Float = NDArray[np.float64]
+
+NoMotion = Literal["no inverse kinematics", "approach in collision", "no path"]
+"""Why there is no motion: the arm does not reach, the way in or up is blocked, or no way leads there."""
+
+_WAYS = 24
+"""Ways into a grasp to check for collisions, nearest first."""
+_ESCAPE_M = 0.30
+"""How far up to go at most to get clear before a transfer."""
+
+
+@dataclass(frozen=True, eq=False)
+class GraspMotion:
+    """A whole grasp: each motion starts where the one before ends."""
+
+    to_pregrasp: Trajectory
+    approach: Trajectory
+    """Straight along the approach direction."""
+    lift: Trajectory
+    """Straight up."""
+
+
+class ArmMotion:
+    """Plans motions of the UR5e with its 2F-85 against a perceived cloud.
+
+    Args:
+        world: What may be hit; the default has what stands still in the cell.
+        planner: Finds joint-space paths: `rrt_connect`, or one of `thinkgrasp.motion.ompl_planner`.
+        budget: When a path is given up.
+        standoff_m: Length of the straight way in. Where it cannot start there, half as much again and twice as much are
+            tried.
+        lift_m: Length of the straight way up.
+        straight_speed: Share of the velocity limit on straight moves.
+        seed: Of every plan; the same question gets the same answer.
+
+    Raises:
+        ConfigError: A length or the speed is out of range.
+    """
+
+    def __init__(
+        self,
+        world: PlanningWorld | None = None,
+        *,
+        planner: PathPlanner = rrt_connect,
+        budget: PathBudget | None = None,
+        standoff_m: float = 0.10,
+        lift_m: float = 0.15,
+        straight_speed: float = 0.5,
+        seed: int = 0,
+    ) -> None:
+        if not (0 < standoff_m <= 0.3 and 0 < lift_m <= 0.5 and 0 < straight_speed <= 1):
+            raise ConfigError(
+                "arm motion: need 0 < standoff_m <= 0.3, 0 < lift_m <= 0.5, 0 < straight_speed <= 1; "
+                f"got {standoff_m}, {lift_m}, {straight_speed}"
+            )
+        self.world = world or PlanningWorld()
+        self.planner = planner
+        self.budget = budget or PathBudget()
+        self.standoff_m = standoff_m
+        self.lift_m = lift_m
+        self.straight_speed = straight_speed
+        self.seed = seed
+
+    def plan_grasp(
+        self, q_start: Float, T_world_tcp: Float, opening_m: float, cloud_m: NDArray[np.floating]
+    ) -> GraspMotion | NoMotion:
+        """Plan to a pre-grasp, straight in, and straight up.
+
+        Args:
+            q_start: (6,) [rad].
+            T_world_tcp: (4, 4) of the grasp, between the fingertips.
+            opening_m: Of the gripper, all the way in.
+            cloud_m: (P, 3) perceived points in the world, of everything.
+
+        Returns:
+            The motions, or the reason why there are none.
+        """
+        self.world.carry(None)
+        self.world.see(cloud_m)
+        reason: NoMotion = "no inverse kinematics"
+        for standoff_m in (self.standoff_m, 1.5 * self.standoff_m, 2 * self.standoff_m):
+            ways = straight_grasps(T_world_tcp[None], np.array([opening_m]), standoff_m, self.lift_m, q_start)
+            if len(ways) == 0:
+                break
+            reason = "approach in collision"
+            clear = self._clear_ways(ways, opening_m)
+            if len(clear) == 0:
+                continue
+            path = self._path(q_start, clear[:, 0], opening_m)
+            if path is None:
+                return "no path"
+            way = clear[int(np.argmin(np.abs(clear[:, 0] - path[-1]).max(axis=1)))]
+            return GraspMotion(
+                time_path(path, ur5e.LIMITS),
+                self._straight(way[: ways.at_grasp + 1]),
+                self._straight(way[ways.at_grasp :]),
+            )
+        return reason
+
+    def plan_to(
+        self,
+        q_start: Float,
+        q_goal: Float,
+        opening_m: float,
+        cloud_m: NDArray[np.floating],
+        carried: CarriedBox | None = None,
+    ) -> Trajectory | NoMotion:
+        """Plan a transfer to joint angles q_goal (6,) or to any of (G, 6) [rad].
+
+        A start that is too close to something is first left straight up.
+
+        Args:
+            q_start: (6,) [rad].
+            q_goal: Where to go.
+            opening_m: Of the gripper.
+            cloud_m: (P, 3) perceived points in the world, without those of what is carried.
+            carried: What the gripper holds.
+        """
+        self.world.carry(carried)
+        self.world.see(cloud_m)
+        goals = np.reshape(q_goal, (-1, 6))
+        for out in self._ways_out(q_start, opening_m):
+            path = self._path(out[-1], goals, opening_m)
+            if path is not None:
+                return time_path(np.concatenate([out[:-1], path]), ur5e.LIMITS)
+        return "no path"
+
+    def plan_to_poses(
+        self,
+        q_start: Float,
+        T_world_tcp: Float,
+        opening_m: float,
+        cloud_m: NDArray[np.floating],
+        carried: CarriedBox | None = None,
+    ) -> Trajectory | NoMotion:
+        """Plan a transfer that brings the fingertips to any of the poses (N, 4, 4); else like `plan_to`."""
+        q = ur5e.inverse(flange_poses(T_world_tcp, np.full(len(T_world_tcp), opening_m))).reshape(-1, 6)
+        goals = ur5e.LIMITS.nearest_to(q_start, q)
+        goals = goals[np.isfinite(goals).all(axis=1)]
+        if len(goals) == 0:
+            return "no inverse kinematics"
+        return self.plan_to(q_start, goals, opening_m, cloud_m, carried)
+
+    def direct(self, q_start: Float, q_goal: Float) -> Trajectory:
+        """Return the straight joint-space move between two configurations (6,), whatever is in its way."""
+        return self._straight(np.stack([q_start, q_goal]))
+
+    def _straight(self, path: Float) -> Trajectory:
+        return time_path(path, ur5e.LIMITS, speed=self.straight_speed)
+
+    def _free(self, opening_m: float, phase: Phase, q: Float) -> NDArray[np.bool_]:
+        return ~self.world.collides(q, opening_m, phase)
+
+    def _clear_ways(self, ways: StraightGrasps, opening_m: float) -> Float:
+        """Return the paths (K, S, 6) that touch nothing and start clear of everything."""
+        paths = ways.paths[:_WAYS]
+        paths = paths[self._free(opening_m, "transfer", paths[:, 0])]
+        return paths[[bool(self._free(opening_m, "contact", path).all()) for path in paths]]
+
+    def _path(self, q_start: Float, goals: Float, opening_m: float) -> Float | None:
+        limits = ur5e.LIMITS
+        lower, upper = np.minimum(limits.lower, q_start), np.maximum(limits.upper, q_start)
+        query = PathQuery(partial(self._free, opening_m, "transfer"), q_start, goals, lower, upper)
+        return self.planner(query, np.random.default_rng(self.seed), self.budget)
+
+    def _ways_out(self, q_start: Float, opening_m: float) -> list[Float]:
+        """Return the path (K, 6) up to the first clear configuration; the start alone (1, 6) where that is clear."""
+        if self._free(opening_m, "transfer", q_start[None])[0]:
+            return [q_start[None]]
+        T = np.repeat(ur5e.forward(q_start)[None], round(_ESCAPE_M / SPACING_M) + 1, axis=0)
+        T[:, 2, 3] += SPACING_M * np.arange(len(T))
+        q = ur5e.inverse(T)
+        branch = int(np.nanargmin(np.abs(ur5e.LIMITS.nearest_to(q_start, q[0]) - q_start).max(axis=1)))
+        path = np.unwrap(q[:, branch], axis=0)
+        path += q_start - path[0]
+        clear = self._free(opening_m, "transfer", path) & ur5e.LIMITS.contain(path)
+        return [path[: k + 1] for k in np.flatnonzero(clear)[:1]]

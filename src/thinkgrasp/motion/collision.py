@@ -1,0 +1,158 @@
+"""Is the arm free there? A MuJoCo model of the arm, what stands still around it, and the perceived cloud.
+
+The cloud comes from a camera, never from a simulator's state.
+"""
+# MuJoCo's bindings carry no types.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from thinkgrasp.motion.arm_spec import ARM_JOINTS, GRIPPER_JOINTS, add_arm
+from thinkgrasp.motion.cell import STATICS, StaticBox
+from thinkgrasp.motion.height_map import HeightMap
+from thinkgrasp.motion.robotiq_2f85 import crank_angle
+
+Float = NDArray[np.float64]
+
+Phase = Literal["transfer", "contact"]
+"""How much has to be kept away from. "transfer": everything, with clearance. "contact", the last centimetres at the
+object: what stands still without clearance, and the cloud by the arm alone, not by the gripper nor what it holds; the
+grasp checks look at the gripper against every single point."""
+
+_ARM, _STATIC, _CLOUD, _CARRIED = 1, 2, 4, 8
+_CLOUD_NAME, _CARRIED_NAME = "cloud", "carried"
+_GRIPPER_BODIES = ("gripper", "right_crank", "right_finger", "left_crank", "left_finger")
+_CLEAR_OF_CARRIED = ("shoulder_pan_link", "shoulder_lift_link", "elbow_link")
+"""Links that what is carried can meet; the wrist is always beside it."""
+
+
+@dataclass(frozen=True, eq=False)
+class CarriedBox:
+    """What the gripper holds, as a box that moves with the flange."""
+
+    T_flange_box: Float
+    """(4, 4) centre and axes."""
+    half_m: tuple[float, float, float]
+
+
+class PlanningWorld:
+    """Arm, gripper, static boxes, cloud, and what is carried.
+
+    Args:
+        statics: Boxes that stand still.
+        clearance_m: How far transfers keep away from them. The cloud has its clearance in the map of heights, which
+            widens everything by one to two spacings.
+        map: Where heights are kept, and how finely.
+    """
+
+    def __init__(
+        self,
+        statics: Sequence[StaticBox] = STATICS,
+        *,
+        clearance_m: float = 0.01,
+        map: HeightMap | None = None,
+    ) -> None:
+        self.statics = tuple(statics)
+        self.clearance_m = clearance_m
+        self.map = map or HeightMap()
+        self._heights = np.zeros(self.map.shape)
+        self._phase: Phase | None = None
+        self._compile(None)
+
+    def see(self, points_m: NDArray[np.floating]) -> None:
+        """Replace the cloud by points (P, 3) in the world [m]; leave out those of what is carried."""
+        self._heights = self.map.heights(points_m)
+        self._model.hfield_data[:] = self._heights.ravel()
+
+    def carry(self, box: CarriedBox | None) -> None:
+        """Attach a box to the gripper, or take it off."""
+        if box is not None or self._carried:
+            self._compile(box)
+
+    def collides(self, q: NDArray[np.floating], opening_m: float, phase: Phase = "transfer") -> NDArray[np.bool_]:
+        """Return (M,) True where the arm at q (M, 6) [rad] touches something, the gripper open by `opening_m`."""
+        self._enter(phase)
+        model, data = self._model, self._data
+        data.qpos[self._gripper_at] = crank_angle(opening_m) * self._gripper_signs
+        hit = np.zeros(len(q), bool)
+        for i, joints in enumerate(np.asarray(q, np.float64)):
+            data.qpos[self._arm_at] = joints
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+            hit[i] = data.ncon > 0
+        return hit
+
+    def contacts(self, q: NDArray[np.floating], opening_m: float, phase: Phase = "transfer") -> tuple[str, ...]:
+        """Say what touches what at one configuration q (6,) [rad], as "wrist_1_link - mount_pole"."""
+        self.collides(np.asarray(q)[None], opening_m, phase)
+        pairs = (tuple(sorted(self._name(g) for g in pair)) for pair in self._data.contact.geom)
+        return tuple(dict.fromkeys(f"{a} - {b}" for a, b in pairs))
+
+    def _name(self, geom: int) -> str:
+        body = self._model.geom_bodyid[geom]
+        return self._model.body(body).name if body and geom != self._carried else self._model.geom(geom).name or "base"
+
+    def _compile(self, carried: CarriedBox | None) -> None:
+        spec = mujoco.MjSpec()
+        spec.compiler.degree = False
+        add_arm(spec)
+        for geom in spec.geoms:
+            meets_carried = _CARRIED if geom.parent.name in _CLEAR_OF_CARRIED else 0
+            geom.contype, geom.conaffinity = _ARM, _ARM | _STATIC | _CLOUD | meets_carried
+        for box in self.statics:
+            geom = spec.worldbody.add_geom(
+                name=box.name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=box.center_m, size=box.half_m
+            )
+            geom.contype, geom.conaffinity, geom.margin = _STATIC, 0, self.clearance_m
+        self._add_cloud(spec)
+        if carried is not None:
+            geom = spec.body("gripper").add_geom(
+                name=_CARRIED_NAME, type=mujoco.mjtGeom.mjGEOM_BOX, size=carried.half_m, pos=carried.T_flange_box[:3, 3]
+            )
+            mujoco.mju_mat2Quat(geom.quat, carried.T_flange_box[:3, :3].ravel())
+            geom.contype, geom.conaffinity = _CARRIED, _STATIC | _CLOUD
+        self._model = spec.compile()
+        self._model.hfield_data[:] = self._heights.ravel()
+        self._data = mujoco.MjData(self._model)
+        self._find_parts()
+        self._carried = self._model.geom(_CARRIED_NAME).id if carried is not None else 0
+
+    def _add_cloud(self, spec: mujoco.MjSpec) -> None:
+        (x0, x1), (y0, y1) = self.map.x_m, self.map.y_m
+        rows, columns = self.map.shape
+        size = ((x1 - x0) / 2, (y1 - y0) / 2, 1.0, 0.01)
+        spec.add_hfield(name=_CLOUD_NAME, size=size, nrow=rows, ncol=columns, userdata=np.zeros(rows * columns))
+        geom = spec.worldbody.add_geom(
+            name=_CLOUD_NAME,
+            type=mujoco.mjtGeom.mjGEOM_HFIELD,
+            hfieldname=_CLOUD_NAME,
+            pos=((x0 + x1) / 2, (y0 + y1) / 2, 0.0),
+        )
+        geom.contype, geom.conaffinity = _CLOUD, 0
+
+    def _find_parts(self) -> None:
+        model = self._model
+        self._arm_at = np.array([model.joint(name).qposadr[0] for name in ARM_JOINTS])
+        self._gripper_at = np.array([model.joint(name).qposadr[0] for name in GRIPPER_JOINTS])
+        self._gripper_signs = np.array([1.0 if "crank" in name else -1.0 for name in GRIPPER_JOINTS])
+        bodies = [model.body(name).id for name in _GRIPPER_BODIES]
+        self._gripper_geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
+        self._static_geoms = np.array([model.geom(box.name).id for box in self.statics], np.intp)
+        self._phase = None
+
+    def _enter(self, phase: Phase) -> None:
+        if phase == self._phase:
+            return
+        affinity = self._model.geom_conaffinity
+        affinity[self._gripper_geoms] &= ~_CLOUD
+        affinity[self._gripper_geoms] |= _CLOUD if phase == "transfer" else 0
+        self._model.geom_margin[self._static_geoms] = self.clearance_m if phase == "transfer" else 0.0
+        self._phase = phase
