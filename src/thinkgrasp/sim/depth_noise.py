@@ -143,10 +143,10 @@ NOISE_MODELS = {
 }
 """Sensor models by name.
 
-L515, a scanned time-of-flight sensor: 1 mm at 0.6 m, growing with distance, nearly independent pixels; its
-depth unit is 0.25 mm and its range 0.25 to 9 m. D455, active stereo: an error in disparity is an error in depth that
-grows with its square; 2 mm at 0.6 m is 2 % at 4 m, the accuracy that is published for it, scaled; its depth unit is 1 mm. What
-happens at edges and grazing angles is chosen, not measured.
+L515, a scanned time-of-flight sensor: 1 mm at 0.6 m, growing with distance, nearly independent pixels; depth unit
+0.25 mm, range 0.25 to 9 m. D455, active stereo: an error in disparity is an error in depth that grows with its square;
+2 mm at 0.6 m is 2 % at 4 m, the accuracy that is published for it, scaled; depth unit 1 mm. What happens at edges and
+grazing angles is chosen, not measured.
 """
 
 

@@ -9,6 +9,7 @@ import copy
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -19,6 +20,7 @@ Float = NDArray[np.float64]
 SEEN_GROUPS = (0, 1, 2)
 """Geom groups that cameras see: static things, the robot, the objects' visual pieces."""
 _MIN_RAYS_PER_THREAD = 4096
+_CHUNKS_PER_THREAD = 8
 _CUTOFF_M = 1e10
 THREADS = min(4, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
@@ -65,21 +67,23 @@ def cast(
     group = np.zeros((6, 1), np.uint8)
     group[list(groups)] = 1
 
-    def part(state: mujoco.MjData, low: int, high: int) -> None:
-        slots = slice(3 * low, 3 * high)
-        mujoco.mj_multiRay(
-            model, state, point, flat[slots], group, True, -1, geoms[low:high], distances[low:high],
-            None if normal is None else normal[slots], high - low, _CUTOFF_M,
-        )  # fmt: skip
-
     workers = max(1, min(threads, n // _MIN_RAYS_PER_THREAD))
+    ends = np.linspace(0, n, workers * (_CHUNKS_PER_THREAD if workers > 1 else 1) + 1).astype(int).tolist()
+    chunks = [(low, high) for low, high in pairwise(ends) if low < high]
+
+    def work(state: mujoco.MjData, mine: list[tuple[int, int]]) -> None:
+        for low, high in mine:
+            slots = slice(3 * low, 3 * high)
+            mujoco.mj_multiRay(
+                model, state, point, flat[slots], group, True, -1, geoms[low:high], distances[low:high],
+                None if normal is None else normal[slots], high - low, _CUTOFF_M,
+            )  # fmt: skip
+
     if workers == 1:
-        if n:
-            part(data, 0, n)
+        work(data, chunks)
     else:
-        ends = np.linspace(0, n, workers + 1).astype(int)
         # Ray casting uses the scratch memory of its MjData: each thread needs its own.
         states = [data, *(copy.copy(data) for _ in range(workers - 1))]
         with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(part, states, ends[:-1].tolist(), ends[1:].tolist()))
+            list(pool.map(work, states, [chunks[k::workers] for k in range(workers)]))
     return Hits(geoms[:, 0], distances[:, 0], np.empty((0, 3)) if normal is None else normal.reshape(-1, 3))

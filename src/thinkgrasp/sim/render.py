@@ -86,32 +86,55 @@ def render(
         light: Where the lamp is and how strong; None = Light().
         threads: Upper limit; the result does not depend on it.
     """
+    hits = cast(model, data, view.eye, view.rays, normals=True, threads=threads)
+    seen = Surfaces(hits.geoms, hits.distances, hits.normals)
+    return shade(model, data, view, visuals, seen, shadows=shadows, light=light, threads=threads)
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """What each of the H*W pixels shows, row by row, before light."""
+
+    geoms: NDArray[np.int32]
+    """(H*W,) geom id, -1 = nothing."""
+    depth: Float
+    """(H*W,) [m]."""
+    normals: Float
+    """(H*W, 3) unit, world, on either side of the surface."""
+
+
+def shade(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    view: CameraView,
+    visuals: Mapping[int, VisualPiece],
+    seen: Surfaces,
+    *,
+    shadows: bool,
+    light: Light | None,
+    threads: int,
+) -> Rendering:
+    """Give surfaces their colours and their light; arguments as in `render`."""
     light = light or Light()
-    size = (view.intrinsics.height, view.intrinsics.width)
-    first = cast(model, data, view.eye, view.rays, normals=True, threads=threads)
-    index = np.flatnonzero((first.geoms >= 0) & (first.distances <= FAR_M))
-    geoms = first.geoms[index]
-    rays = view.rays[index]
-    points = view.eye + first.distances[index, None] * rays
-    normals = first.normals[index]
-    away = np.einsum("ni,ni->n", normals, rays) > 0
-    normals[away] *= -1
-
+    index = np.flatnonzero((seen.geoms >= 0) & (seen.depth > 0) & (seen.depth <= FAR_M))
+    geoms, rays, distance = seen.geoms[index], view.rays[index], seen.depth[index]
+    points = view.eye + distance[:, None] * rays
+    normals = seen.normals[index]
+    normals[np.einsum("ni,ni->n", normals, rays) > 0] *= -1
     lit = _lamp_reaches(model, data, points, normals, light, shadows=shadows, threads=threads)
-    albedo, gloss = _materials(model, data, view, visuals, geoms, points, normals, first.distances[index])
-    color = np.empty((len(first.geoms), 3), np.uint8)
-    color[:] = np.round(np.asarray(BACKGROUND) * 255)
-    color[index] = _encode(_shade(view, light, points, normals, lit, albedo, gloss))
+    albedo, gloss = _materials(model, data, view, visuals, geoms, points, normals, distance)
 
-    depth = np.zeros(len(first.geoms), np.float32)
-    depth[index] = first.distances[index]
-    all_geoms = np.full(len(first.geoms), -1, np.int32)
-    all_geoms[index] = geoms
-    all_normals = np.zeros((len(first.geoms), 3), np.float32)
-    all_normals[index] = normals
-    return Rendering(
-        color.reshape(*size, 3), depth.reshape(size), all_geoms.reshape(size), all_normals.reshape(*size, 3)
-    )
+    c = view.intrinsics
+    color = np.empty((c.height, c.width, 3), np.uint8)
+    color[:] = np.round(np.asarray(BACKGROUND) * 255)
+    depth = np.zeros((c.height, c.width), np.float32)
+    ids = np.full((c.height, c.width), -1, np.int32)
+    facing = np.zeros((c.height, c.width, 3), np.float32)
+    color.reshape(-1, 3)[index] = _encode(_radiance(view, light, points, normals, lit, albedo, gloss))
+    depth.reshape(-1)[index] = distance
+    ids.reshape(-1)[index] = geoms
+    facing.reshape(-1, 3)[index] = normals
+    return Rendering(color, depth, ids, facing)
 
 
 def _lamp_reaches(
@@ -179,7 +202,7 @@ def _rotate(vectors: Array, R: Float) -> Array:
     return vectors[:, :1] * m[0] + vectors[:, 1:2] * m[1] + vectors[:, 2:] * m[2]
 
 
-def _shade(
+def _radiance(
     view: CameraView, light: Light, points: Float, normals: Float, lit: Array, albedo: Array, gloss: Array
 ) -> Array:
     """Linear radiance (N, 3): Lambert from lamp, sky and fill, and a Blinn-Phong highlight."""
