@@ -114,8 +114,7 @@ def run_episode(
         if decision.grasp is not None:
             outcome = robot.execute(decision.grasp, decision.scene.frame)
             frame = cameras[0].read()
-            after = frame if decision.scene.frame.T_world_camera is frame.T_world_camera else None
-            if outcome.success and after is not None and is_still_there(decision, after):
+            if outcome.success and _same_view(decision.scene.frame, frame) and is_still_there(decision, frame):
                 outcome = Outcome(False, "still_there")
             memory = _remember(memory, decision, outcome)
         steps.append(Step(decision, outcome, time.perf_counter() - start))
@@ -141,23 +140,30 @@ def is_still_there(decision: Decision, after: Frame) -> bool:
     return float(same.mean()) >= STILL_THERE_SHARE
 
 
+def _same_view(a: Frame, b: Frame) -> bool:
+    if a.T_world_camera is None or b.T_world_camera is None:
+        return a.T_world_camera is b.T_world_camera and a.camera == b.camera
+    return a.camera == b.camera and np.array_equal(a.T_world_camera, b.T_world_camera)
+
+
 def _decide(
     frame: Frame, cameras: Sequence[Camera], pipeline: Pipeline, instruction: str, memory: Memory
 ) -> tuple[Decision, Memory]:
     """Decide on this frame; where no grasp survives, from the other cameras, then on something else."""
-    decision = pipeline.decide(frame, instruction, memory)
+    decision = first = pipeline.decide(frame, instruction, memory)
     for replans in range(MAX_REPLANS + 1):
-        if decision.grasp is not None or decision.status == "no_target" and replans:
-            break
-        for camera in cameras[1:]:
-            other = pipeline.decide(camera.read(), instruction, memory)
-            if other.grasp is not None:
-                return other, memory
+        if decision.grasp is not None:
+            return decision, memory
+        if decision is first or decision.status == "no_grasp":
+            for camera in cameras[1:]:
+                other = pipeline.decide(camera.read(), instruction, memory)
+                if other.grasp is not None:
+                    return other, memory
         if decision.status == "no_target" or replans == MAX_REPLANS:
             break
         memory = _remember(memory, decision, Outcome(False, "no_grasp"))
         decision = pipeline.decide(frame, instruction, memory)
-    return decision, memory
+    return first, memory
 
 
 def _remember(memory: Memory, decision: Decision, outcome: Outcome) -> Memory:

@@ -9,14 +9,14 @@ from thinkgrasp.geometry import deproject, organised_normals
 from thinkgrasp.perception.assembly import assemble
 from thinkgrasp.perception.blind import find_blind
 from thinkgrasp.perception.color import balance_white, lab_from_rgb
-from thinkgrasp.perception.edges import Edges
-from thinkgrasp.perception.foreground import find_foreground
+from thinkgrasp.perception.edges import Edges, find_edges
+from thinkgrasp.perception.foreground import Foreground, find_foreground
 from thinkgrasp.perception.grouping import merge_patches, patch_adjacency, patch_statistics
 from thinkgrasp.perception.morphology import Labels
 from thinkgrasp.perception.obstruction import obstruction_graph
 from thinkgrasp.perception.proposals import make_proposals
 from thinkgrasp.perception.superpixels import superpixels
-from thinkgrasp.perception.support import find_support
+from thinkgrasp.perception.support import Support, find_support
 from thinkgrasp.types import Array, CameraIntrinsics, Degradation, Frame, Scene
 
 
@@ -41,8 +41,13 @@ class GeometricPerception:
         self.patch_px = patch_px
         self.seed = seed
 
-    def perceive(self, frame: Frame) -> Scene:
+    def perceive(self, frame: Frame, labels: Labels | None = None) -> Scene:
         """Find the support plane, the proposals and their obstruction graph.
+
+        Args:
+            frame: The view.
+            labels: (H, W) where something else has told the things apart already, 1..n, 0 = none; only their geometry
+                is found then.
 
         Returns:
             A scene with points and normals at the frame's size. Without a support plane there are no proposals.
@@ -64,15 +69,12 @@ class GeometricPerception:
         lab = balance_white(lab_from_rgb(_shrunk(frame.color, scale)), ~support.plane.inliers)
         workspace = None if frame.workspace is None else frame.workspace[::scale, ::scale]
         foreground = find_foreground(work_points, lab, support, workspace)
-        labels = superpixels(foreground.mask, work_points, work_normals, lab, self.patch_px)
-        if labels.any():
-            patches = patch_statistics(labels, work_points, work_normals, lab)
-            groups = merge_patches(len(patches.count), patch_adjacency(labels, work_points, work_normals, patches))
-            labels = np.where(labels > 0, np.r_[-1, groups][labels] + 1, 0).astype(np.int32)
-            labels, edges = assemble(labels, foreground, work_points, work_normals, lab, support)
+        if labels is not None:
+            labels, sized = np.ascontiguousarray(labels[::scale, ::scale]), work_points
+            edges = find_edges(labels, work_points, work_normals, reach_px=3) if labels.any() else Edges.none()
         else:
-            edges = Edges.none()
-        labels, sized = find_blind(labels, foreground, work_points, support, work_camera)
+            labels, edges = self._tell_apart(foreground, work_points, work_normals, lab, support)
+            labels, sized = find_blind(labels, foreground, work_points, support, work_camera)
         measured = np.isfinite(work_points[..., 2])
         proposals = make_proposals(labels, scale, sized, measured, work_normals, lab, support, camera)
 
@@ -89,6 +91,17 @@ class GeometricPerception:
             proposals,
             graph,
         )
+
+    def _tell_apart(
+        self, foreground: Foreground, points: Array, normals: Array, lab: Array, support: Support
+    ) -> tuple[Labels, Edges]:
+        labels = superpixels(foreground.mask, points, normals, lab, self.patch_px)
+        if not labels.any():
+            return labels, Edges.none()
+        patches = patch_statistics(labels, points, normals, lab)
+        groups = merge_patches(len(patches.count), patch_adjacency(labels, points, normals, patches))
+        labels = np.where(labels > 0, np.r_[-1, groups][labels] + 1, 0).astype(np.int32)
+        return assemble(labels, foreground, points, normals, lab, support)
 
 
 def _scaled(camera: CameraIntrinsics, scale: int, shape: tuple[int, ...]) -> CameraIntrinsics:

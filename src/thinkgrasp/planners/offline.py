@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -36,6 +36,7 @@ BORDER_SHARE = 1.2
 MAX_LISTED = 8
 
 Search = Literal["piles", "anywhere", "all"]
+Grounder = Callable[[Scene, Query], Grounding]
 
 
 class OfflinePlanner:
@@ -47,6 +48,7 @@ class OfflinePlanner:
         max_width_m: Gripper opening that grasp scores are judged by [m].
         search: Where a goal that is not seen is looked for: in piles only; behind tall things that stand free too
             ("anywhere"); or by clearing whatever is left ("all"), for a loop that is told the goal is there.
+        ground: What scores the things in view against the words.
 
     Raises:
         ConfigError: A setting is out of range.
@@ -59,6 +61,7 @@ class OfflinePlanner:
         min_score: float = MIN_SCORE,
         max_width_m: float = 0.085,
         search: Search = "piles",
+        ground: Grounder = ground,
     ) -> None:
         if not 1 <= grid <= 15:
             raise ConfigError(f"offline planner: grid must be within 1..15, got {grid}")
@@ -72,6 +75,7 @@ class OfflinePlanner:
         self.search = search
         self.min_score = min_score
         self.max_width_m = max_width_m
+        self._ground = ground
 
     def plan(self, scene: Scene, instruction: str, memory: Memory) -> Plan:
         """Choose the goal or what is in its way; `found` is False where nothing in view fits or can hide it."""
@@ -83,7 +87,7 @@ class OfflinePlanner:
             listed = f" ({_quoted(query.unknown)})" if query.unknown else ""
             reason = f"the instruction names nothing that I understand{listed}"
             return self._nothing(query, f"{reason}; in view: {self._in_view(scene)}")
-        grounding = _without_failures(ground(scene, query), scene, memory)
+        grounding = _without_failures(self._ground(scene, query), scene, memory)
         worn_out = {p.mark for p in scene.proposals if memory.is_worn_out(p)}
         fitting = [m for m in grounding.fitting(self.min_score) if self._is_sure(scene.proposal(m.mark), scene, m)]
         goal = _goal([m for m in fitting if m.mark not in worn_out], scene, worn_out)

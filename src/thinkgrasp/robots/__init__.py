@@ -1,0 +1,1 @@
+"""Robots that execute grasps: behind one contract, whether simulated or real."""

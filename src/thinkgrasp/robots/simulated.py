@@ -1,0 +1,252 @@
+"""The simulated UR5e with its 2F-85: carries a grasp out step by step, and verifies what happened by touch.
+
+Open, approach, close with limited force, lift, verify, carry to the bin, verify again, release, go home. Motions are
+planned against the perceived cloud of the frame that the grasp was found in, never against the simulator's truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thinkgrasp.errors import InputError
+from thinkgrasp.geometry import apply, deproject, invert, make_transform
+from thinkgrasp.motion.arm import ArmMotion
+from thinkgrasp.motion.cell import DROP_RAD, HOME_RAD
+from thinkgrasp.motion.robotiq_2f85 import STROKE_M, tip_reach
+from thinkgrasp.motion.trajectory import Trajectory
+from thinkgrasp.sim.world import GRIP_FORCE_N, TIMESTEP_S, World
+from thinkgrasp.types import Frame, Grasp, Outcome
+
+Float = NDArray[np.float64]
+
+TICK_S = 0.01
+"""Between two commands to the servos, and between two looks at the forces."""
+STOP_FORCE_N = 90.0
+"""A motion that presses harder than this on anything but what it holds is stopped."""
+CLEARANCE_M = 0.007
+"""Room that grasps leave between an open finger and the thing."""
+CLOSING_M_S = 0.15
+SLIP_M = 0.03
+"""What is held may shift by this much in the gripper between two verifications."""
+TABLE_GAP_M = 0.001
+WATCH_S = 0.1
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What really happened in an attempt, for referees and statistics; the pipeline never sees it."""
+
+    touched: int | None
+    """Object that both fingers held after closing, by contact."""
+    delivered: int | None
+    """Object that was let go over the bin."""
+
+
+class Stopped(Exception):
+    """A motion was stopped because it pressed on something."""
+
+
+class SimulatedRobot:
+    """Executes grasps in a World.
+
+    Args:
+        world: With its robot.
+        motion: Plans the arm's motions.
+        force_n: What each pad presses with.
+        watch: Called about every 0.1 s of simulated time, for videos and live views.
+
+    Raises:
+        InputError: The world has no robot.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        motion: ArmMotion | None = None,
+        *,
+        force_n: float = GRIP_FORCE_N,
+        watch: Callable[[], None] | None = None,
+    ) -> None:
+        if not world.has_robot:
+            raise InputError("this world was made without a robot")
+        self.world = world
+        self.motion = motion or ArmMotion()
+        self.force_n = force_n
+        self.watch = watch
+        self.truth = Truth(None, None)
+        self._watched_s = 0.0
+
+    def execute(self, grasp: Grasp, frame: Frame) -> Outcome:
+        """Carry out a grasp given in the frame's camera coordinates.
+
+        Returns:
+            "held" when the thing was let go over the bin; else "unreachable", "collision", "missed" or "slipped".
+
+        Raises:
+            InputError: The frame's camera pose is unknown.
+        """
+        if frame.T_world_camera is None:
+            raise InputError("the simulated robot needs the camera's pose: T_world_camera is missing in the frame")
+        self.truth = Truth(None, None)
+        T_world_tcp = frame.T_world_camera @ make_transform(grasp.rotation, grasp.position)
+        opening = min(grasp.width_m, STROKE_M)
+        T_world_tcp[:3, 3] -= self._retreat_for_arc(T_world_tcp, opening) * T_world_tcp[:3, 2]
+        cloud = perceived_cloud(frame)
+        plan = self.motion.plan_grasp(self.world.joints(), T_world_tcp, opening, cloud)
+        if isinstance(plan, str):
+            return Outcome(False, "unreachable")
+        try:
+            self._move_gripper(opening)
+            self._follow(plan.to_pregrasp)
+            self._follow(plan.approach)
+        except Stopped:
+            self._back_out(plan.approach.start)
+            return Outcome(False, "collision")
+        self._close()
+        grasped = self.world.held()
+        self.truth = Truth(grasped, None)
+        before = None if grasped is None else self._in_hand(grasped)
+        try:
+            self._follow(plan.lift)
+        except Stopped:
+            self._release()
+            self._back_out(plan.lift.end)
+            return Outcome(False, "collision")
+        if grasped is None or before is None or not self._still_holds(grasped, before):
+            self._release()
+            self._go_home(cloud)
+            return Outcome(False, "missed" if grasped is None else "slipped")
+        return self._deliver(grasped, cloud)
+
+    def _deliver(self, held: int, cloud: Float) -> Outcome:
+        before = self._in_hand(held)
+        way = self.motion.plan_to(self.world.joints(), np.array(DROP_RAD), self.world.opening(), cloud)
+        if isinstance(way, str):
+            self._release()
+            self._go_home(cloud)
+            return Outcome(False, "unreachable")
+        try:
+            self._follow(way)
+        except Stopped:
+            self._release()
+            self._back_out(np.array(HOME_RAD))
+            return Outcome(False, "collision")
+        if not self._still_holds(held, before):
+            self._release()
+            self._go_home(cloud)
+            return Outcome(False, "slipped")
+        self.truth = Truth(held, held)
+        self._release()
+        self._wait(0.2)
+        self._go_home(cloud)
+        return Outcome(True, "held")
+
+    # -- verification ------------------------------------------------------------------------------------------------
+
+    def _in_hand(self, index: int) -> Float:
+        """Position (3,) of an object's centre in the flange frame."""
+        return apply(invert(self.world.flange()), self.world.center(index))
+
+    def _still_holds(self, index: int, before: Float) -> bool:
+        right, left = self.world.pad_contacts()
+        return index in right & left and float(np.linalg.norm(self._in_hand(index) - before)) <= SLIP_M
+
+    # -- motion ------------------------------------------------------------------------------------------------------
+
+    def _retreat_for_arc(self, T_world_tcp: Float, opening: float) -> float:
+        """How far the flange has to stay back [m], as the tips reach farther the more they close.
+
+        The grasp is meant for tips in contact; where the fingers may close farther than that, they must still not be
+        pushed into the table.
+        """
+        contact = max(opening - 2 * CLEARANCE_M, 0.0)
+        reach = float(tip_reach(contact) - tip_reach(opening))
+        further = float(tip_reach(0.0) - tip_reach(contact))
+        down = -float(T_world_tcp[2, 2])
+        into_table = further * max(down, 0.0) - (float(T_world_tcp[2, 3]) - TABLE_GAP_M)
+        return reach + max(into_table, 0.0)
+
+    def _follow(self, trajectory: Trajectory, *, guarded: bool = True) -> None:
+        """Move along a trajectory; raise Stopped where the robot presses on something."""
+        times = np.arange(1, int(np.ceil(trajectory.duration_s / TICK_S)) + 1) * TICK_S
+        positions = np.array([trajectory.sample(min(t, trajectory.duration_s)) for t in times])
+        velocities = np.gradient(positions, TICK_S, axis=0) if len(positions) > 1 else np.zeros_like(positions)
+        for position, velocity in zip(positions, velocities, strict=True):
+            self.world.command(position, velocity)
+            self._tick()
+            if guarded and self.world.collision_force() > STOP_FORCE_N:
+                self.world.command(self.world.joints(), np.zeros(6))
+                self._wait(0.05)
+                raise Stopped
+        self.world.command(trajectory.end, np.zeros(6))
+        self._wait(0.05)
+
+    def _move_gripper(self, opening: float) -> None:
+        """Open or close to an opening at limited speed, in free air."""
+        start = self.world.opening()
+        ticks = max(1, int(abs(opening - start) / CLOSING_M_S / TICK_S))
+        for k in range(1, ticks + 1):
+            self.world.command_gripper(start + (opening - start) * k / ticks, self.force_n)
+            self._tick()
+
+    def _close(self) -> None:
+        """Close until the fingers stand still, and let the grip build up."""
+        opening, target, still = self.world.opening(), self.world.opening(), 0
+        for _ in range(200):
+            target = max(target - CLOSING_M_S * TICK_S, 0.0)
+            self.world.command_gripper(target, self.force_n)
+            self._tick()
+            still = still + 1 if abs(self.world.opening() - opening) < 2e-5 and target < opening - 2e-3 else 0
+            opening = self.world.opening()
+            if still >= 3 or (target == 0.0 and opening < 1e-3):
+                break
+        self.world.command_gripper(0.0, self.force_n)
+        self._wait(0.15)
+
+    def _release(self) -> None:
+        self._move_gripper(STROKE_M)
+        self._wait(0.1)
+
+    def _go_home(self, cloud: Float) -> None:
+        way = self.motion.plan_to(self.world.joints(), np.array(HOME_RAD), self.world.opening(), cloud)
+        if isinstance(way, str):
+            self._back_out(np.array(HOME_RAD))
+            return
+        try:
+            self._follow(way)
+        except Stopped:
+            self._back_out(np.array(HOME_RAD))
+        self.world.settle(max_seconds=1.0)
+
+    def _back_out(self, via: Float) -> None:
+        """Leave after a stop: up the way it came to `via` (6,), then home, without minding contacts."""
+        for goal in (via, np.array(HOME_RAD)):
+            self._follow(self.motion.direct(self.world.joints(), goal), guarded=False)
+        self._move_gripper(STROKE_M)
+        self.world.settle(max_seconds=1.0)
+
+    def _wait(self, seconds: float) -> None:
+        for _ in range(max(1, round(seconds / TICK_S))):
+            self._tick()
+
+    def _tick(self) -> None:
+        self.world.step(round(TICK_S / TIMESTEP_S))
+        if self.watch is not None and self.world.time_s - self._watched_s >= WATCH_S:
+            self._watched_s = self.world.time_s
+            self.watch()
+
+
+def perceived_cloud(frame: Frame) -> Float:
+    """Return the world points (P, 3) [m] that a frame shows.
+
+    Raises:
+        InputError: The frame's camera pose is unknown.
+    """
+    if frame.T_world_camera is None:
+        raise InputError("the camera's pose is needed to plan a motion: T_world_camera is missing in the frame")
+    points = deproject(frame.depth, frame.camera).reshape(-1, 3)
+    return apply(frame.T_world_camera, points[np.isfinite(points[:, 2])].astype(np.float64))

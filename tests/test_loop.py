@@ -1,0 +1,131 @@
+"""Observe, decide, execute, verify, remember: every way an episode can go on and end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fakes.stages import FakeCheck, FakePlanner, fake_pipeline
+from fakes.table_loop import POSE, FakeCamera, FakeRecorder, FakeRobot, FakeTable
+
+from thinkgrasp.errors import ConfigError, InputError
+from thinkgrasp.loop import END_WORDS, End, run_episode
+from thinkgrasp.memory import Memory
+from thinkgrasp.types import Grasps, Plan, Scene
+
+
+class PatientPlanner(FakePlanner):
+    """As the fake planner, but takes the other block while the wanted one is left for later."""
+
+    def plan(self, scene: Scene, instruction: str, memory: Memory) -> Plan:
+        for p in sorted(scene.proposals, key=lambda p: p.colors[0][0] not in instruction):
+            if not memory.is_worn_out(p):
+                role = "goal" if p.colors[0][0] in instruction else "obstruction"
+                return Plan(p.colors[0][0], "next", role=role, mark=p.mark)
+        return Plan("", "nothing is left", found=False)
+
+
+class NoneOnTheLeft:
+    def keep(self, scene, target, grasps: Grasps, gripper) -> np.ndarray:
+        return grasps.positions[:, 0] > 0
+
+
+def run(table: FakeTable, instruction: str = "the red block", script=(), pipeline=None, **options):
+    robot = FakeRobot(table, script)
+    episode = run_episode([FakeCamera(table)], pipeline or fake_pipeline(), robot, instruction, **options)
+    return episode, robot
+
+
+def test_a_goal_at_hand_is_delivered_in_one_step() -> None:
+    episode, robot = run(FakeTable())
+    assert (episode.success, episode.end, episode.attempts, len(robot.grasps)) == (True, "goal_delivered", 1, 1)
+
+
+def test_after_a_miss_another_grasp_is_tried() -> None:
+    episode, robot = run(FakeTable(), script=["missed", "missed"])
+    assert [s.outcome.reason for s in episode.steps] == ["missed", "missed", "held"]  # type: ignore[union-attr]
+    first, second, third = (g.position for g in robot.grasps)
+    assert min(np.linalg.norm(first - second), np.linalg.norm(second - third), np.linalg.norm(first - third)) > 0.012
+    checks = [f.check for f in episode.steps[1].decision.funnel]
+    assert "not_failed_before" in checks
+
+
+def test_after_three_failures_a_thing_is_left_until_another_was_removed() -> None:
+    pipeline = fake_pipeline(planner=PatientPlanner())
+    episode, _ = run(FakeTable(), script=["missed"] * 3, pipeline=pipeline)
+    taken = [s.decision.plan.target for s in episode.steps]
+    assert taken == ["red", "red", "red", "blue", "red"]
+    assert episode.success
+
+
+def test_a_thing_without_a_grasp_is_put_aside_in_the_same_step() -> None:
+    pipeline = fake_pipeline(planner=PatientPlanner(), checks={"right": NoneOnTheLeft()})
+    episode, _ = run(FakeTable(), pipeline=pipeline)
+    assert [s.decision.plan.target for s in episode.steps] == ["blue", "red"]
+    assert (episode.end, episode.steps[-1].outcome) == ("no_grasp", None)
+
+
+def test_what_is_still_seen_where_it_was_was_not_removed() -> None:
+    episode, _ = run(FakeTable(), script=["lies"])
+    assert [s.outcome.reason for s in episode.steps] == ["still_there", "held"]  # type: ignore[union-attr]
+    assert episode.success
+
+
+def test_the_referee_decides_where_there_is_one() -> None:
+    table = FakeTable()
+    episode, _ = run(
+        table, "the red block, then blue", pipeline=fake_pipeline(planner=PatientPlanner()),
+        referee=lambda decision, outcome: "blue" not in table.there,
+    )  # fmt: skip
+    assert episode.success
+    assert [s.decision.plan.target for s in episode.steps] == ["red", "blue"]
+
+
+@pytest.mark.parametrize(
+    ("instruction", "script", "options", "end", "steps"),
+    [
+        ("the green block", [], {}, "nothing_left", 1),
+        ("the red block", ["missed"] * 9, {"step_limit": 2}, "step_limit", 2),
+        ("the red block", [], {"stop": lambda: True}, "stopped", 0),
+        ("the red block", [], {"pipeline": fake_pipeline(checks={"none": FakeCheck(2.0)})}, "no_grasp", 1),
+    ],
+)
+def test_every_end_has_its_reason(instruction: str, script: list[str], options: dict, end: End, steps: int) -> None:
+    episode, _ = run(FakeTable(), instruction, script, **options)
+    assert (episode.end, len(episode.steps), episode.success) == (end, steps, False)
+    assert END_WORDS[end]
+
+
+def test_the_second_camera_is_asked_where_the_first_shows_no_grasp() -> None:
+    class OnlyFromAside:
+        def keep(self, scene, target, grasps: Grasps, gripper) -> np.ndarray:
+            return np.full(len(grasps), scene.frame.T_world_camera[0, 3] > 0)
+
+    table = FakeTable()
+    aside = POSE.copy()
+    aside[0, 3] = 0.05
+    cameras = [FakeCamera(table), FakeCamera(table, aside)]
+    robot = FakeRobot(table)
+    pipeline = fake_pipeline(checks={"aside": OnlyFromAside()})
+    episode = run_episode(cameras, pipeline, robot, "the red block")
+    assert episode.success
+    frame = episode.steps[0].decision.scene.frame
+    assert frame.T_world_camera is not None
+    assert frame.T_world_camera[0, 3] == pytest.approx(0.05)
+    assert cameras[1].reads == 1
+
+
+def test_every_step_is_recorded_when_it_is_finished() -> None:
+    recorder = FakeRecorder()
+    episode, _ = run(FakeTable(), script=["missed"], recorders=[recorder])
+    assert recorder.steps == [("grasp", "missed"), ("grasp", "held")]
+    assert len(episode.steps) == 2
+
+
+def test_bad_input() -> None:
+    table = FakeTable()
+    with pytest.raises(ConfigError, match="at least one step"):
+        run(table, step_limit=0)
+    with pytest.raises(ConfigError, match="a camera"):
+        run_episode([], fake_pipeline(), FakeRobot(table), "the red block")
+    with pytest.raises(InputError, match="empty"):
+        run(table, " ")
