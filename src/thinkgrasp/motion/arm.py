@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from typing import Literal
 
 import numpy as np
@@ -24,6 +26,12 @@ NoMotion = Literal["no inverse kinematics", "approach in collision", "no path"]
 
 _WAYS = 24
 """Ways into a grasp to check for collisions, nearest first."""
+_ENOUGH = 6
+"""Clear ways to find a path to; any of them will do."""
+_BATCH = 256
+"""Grasps whose inverse kinematics is solved at once."""
+_COARSE_M = 0.025
+"""Between two samples of a straight way where only its being clear is asked."""
 _ESCAPE_M = 0.30
 """How far up to go at most to get clear before a transfer."""
 
@@ -97,12 +105,12 @@ class ArmMotion:
         self.world.carry(None)
         self.world.see(cloud_m)
         reason: NoMotion = "no inverse kinematics"
-        for standoff_m in (self.standoff_m, 1.5 * self.standoff_m, 2 * self.standoff_m):
+        for standoff_m in self._standoffs_m:
             ways = straight_grasps(T_world_tcp[None], np.array([opening_m]), standoff_m, self.lift_m, q_start)
             if len(ways) == 0:
                 break
             reason = "approach in collision"
-            clear = self._clear_ways(ways, opening_m)
+            clear = np.array(list(islice(self._clear_ways(ways, opening_m), _ENOUGH)))
             if len(clear) == 0:
                 continue
             path = self._path(q_start, clear[:, 0], opening_m)
@@ -115,6 +123,39 @@ class ArmMotion:
                 self._straight(way[ways.at_grasp :]),
             )
         return reason
+
+    def reaches(
+        self,
+        q_start: Float,
+        T_world_tcp: Float,
+        opening_m: Float,
+        cloud_m: NDArray[np.floating],
+        *,
+        at_most: int | None = None,
+    ) -> NDArray[np.bool_]:
+        """Say which grasps have a clear way straight in and up; whether a path leads to it is not asked.
+
+        Args:
+            q_start: (6,) from where the motion would start [rad].
+            T_world_tcp: (N, 4, 4), in the order in which to look at them.
+            opening_m: (N,).
+            cloud_m: (P, 3) perceived points in the world, of everything.
+            at_most: Stop when so many are found; the rest is False.
+
+        Returns:
+            (N,) True where it is so.
+        """
+        self.world.carry(None)
+        self.world.see(cloud_m)
+        found = np.zeros(len(T_world_tcp), bool)
+        for first in range(0, len(found), _BATCH):
+            T, opening = T_world_tcp[first : first + _BATCH], opening_m[first : first + _BATCH]
+            ways = straight_grasps(T, opening, self.standoff_m, self.lift_m, q_start, _COARSE_M)
+            for i in np.unique(ways.grasp):
+                found[first + i] = self._has_clear_way(ways.of(i), q_start, T[i], float(opening[i]))
+                if found.sum() == at_most:
+                    return found
+        return found
 
     def plan_to(
         self,
@@ -170,11 +211,26 @@ class ArmMotion:
     def _free(self, opening_m: float, phase: Phase, q: Float) -> NDArray[np.bool_]:
         return ~self.world.collides(q, opening_m, phase)
 
-    def _clear_ways(self, ways: StraightGrasps, opening_m: float) -> Float:
-        """Return the paths (K, S, 6) that touch nothing and start clear of everything."""
-        paths = ways.paths[:_WAYS]
-        paths = paths[self._free(opening_m, "transfer", paths[:, 0])]
-        return paths[[bool(self._free(opening_m, "contact", path).all()) for path in paths]]
+    @property
+    def _standoffs_m(self) -> tuple[float, float, float]:
+        return self.standoff_m, 1.5 * self.standoff_m, 2 * self.standoff_m
+
+    def _has_clear_way(self, ways: StraightGrasps, q_start: Float, T_world_tcp: Float, opening_m: float) -> bool:
+        if any(True for _ in self._clear_ways(ways, opening_m)):
+            return True
+        for standoff_m in self._standoffs_m[1:]:
+            ways = straight_grasps(
+                T_world_tcp[None], np.array([opening_m]), standoff_m, self.lift_m, q_start, _COARSE_M
+            )
+            if any(True for _ in self._clear_ways(ways, opening_m)):
+                return True
+        return False
+
+    def _clear_ways(self, ways: StraightGrasps, opening_m: float) -> Iterator[Float]:
+        """Yield the paths (S, 6), nearest first, that touch nothing and start clear of everything."""
+        for path in ways.paths[:_WAYS]:
+            if self._free(opening_m, "transfer", path[:1])[0] and self._free(opening_m, "contact", path).all():
+                yield path
 
     def _path(self, q_start: Float, goals: Float, opening_m: float) -> Float | None:
         limits = ur5e.LIMITS

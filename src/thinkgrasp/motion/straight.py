@@ -32,6 +32,11 @@ class StraightGrasps:
     def __len__(self) -> int:
         return len(self.grasp)
 
+    def of(self, grasp: int) -> StraightGrasps:
+        """Return the ways to reach one of the grasps."""
+        own = self.grasp == grasp
+        return StraightGrasps(self.grasp[own], self.paths[own], self.at_grasp)
+
 
 def straight_grasps(
     T_world_tcp: Float, opening_m: Float, standoff_m: float, lift_m: float, q_near: Float, spacing_m: float = SPACING_M
