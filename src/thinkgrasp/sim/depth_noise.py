@@ -91,12 +91,12 @@ class DepthNoise:
         padded = np.pad(depth, 1, mode="edge")
         left, right, above, below = padded[1:-1, :-2], padded[1:-1, 2:], padded[:-2, 1:-1], padded[2:, 1:-1]
         bend = np.maximum(np.abs(left + right - 2 * depth), np.abs(above + below - 2 * depth))
-        at = np.nonzero(bend > np.float32(self.edge_jump_m))
+        at = np.nonzero((depth > 0) & (bend > np.float32(self.edge_jump_m)))
         side, chance, share = rng.integers(4, size=len(at[0])), rng.random(len(at[0])), rng.random(len(at[0]))
         own = depth[at]
         other = np.choose(side, [left[at], right[at], above[at], below[at]])
         mixed = (own + share * (other - own)).astype(np.float32)
-        mixed[(own == 0) | (other == 0)] = 0
+        mixed[other == 0] = 0
         bounds = np.cumsum([self.edge_dropout, self.edge_jitter, self.edge_flying])
         out = depth.copy()
         out[at] = np.select([chance < bounds[0], chance < bounds[1], chance < bounds[2]], [0 * own, other, mixed], own)
