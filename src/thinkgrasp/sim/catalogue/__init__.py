@@ -12,10 +12,17 @@ from typing import Literal
 
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.sim.catalogue import (
+    animals,
     balls,
     bottles,
     food,
     fruit,
+    hygiene,
+    kitchen,
+    machine,
+    office,
+    tools,
+    toys,
     vessels,
 )
 from thinkgrasp.sim.catalogue.entry import Entry
@@ -23,12 +30,14 @@ from thinkgrasp.sim.objects import SimObject
 
 __all__ = ["categories", "make", "names", "split"]
 
-_FAMILIES = (fruit, food, bottles, vessels, balls)
+_FAMILIES = (fruit, food, bottles, vessels, kitchen, tools, machine, office, hygiene, toys, animals, balls)
 _UNSEEN = frozenset(
     """black marker|red marker|bleach cleanser|blue moon|gelatin box|magic clean|pink tea box|remote control|repellent
     shampoo bottle|small clamp|soap dish|sugar box|white sugar box|two color hammer|yellow bowl|yellow cup|softball
     tennis ball|red backpack|white ball|blue ball|battery|mango|hammer|kiwi|sponge|mustard bottle|rubiks cube
-    spoon|lime|stapler|tuna can|eggplant|milk carton""".replace("\n", "|").replace("    ", "").split("|")
+    spoon|lime|stapler|tuna can|eggplant|milk carton""".replace("\n", "|")
+    .replace("    ", "")
+    .split("|")
 )
 
 

@@ -23,7 +23,7 @@ from thinkgrasp.sim.catalogue.palette import (
     YELLOW,
 )
 from thinkgrasp.sim.catalogue.printing import RGB
-from thinkgrasp.sim.catalogue.solid import Solid, box, loft, rod, taper, tube, turned
+from thinkgrasp.sim.catalogue.solid import Solid, box, loft, rod, tube, turned
 
 
 def _capped(body: Solid, top: float, cap: Solid, colors: tuple[RGB, RGB, RGB, RGB], repeats: int = 2) -> Build:
@@ -84,7 +84,14 @@ def _spray(rng: Generator) -> Parts:
 
 def _repellent(rng: Generator) -> Parts:
     return (
-        Part("body", rod(27, 135, 24), LEAF, printing.label(GREEN, YELLOW, WHITE, rng, repeats=2, height=144), "cylinder", 0.5),
+        Part(
+            "body",
+            rod(27, 135, 24),
+            LEAF,
+            printing.label(GREEN, YELLOW, WHITE, rng, repeats=2, height=144),
+            "cylinder",
+            0.5,
+        ),
         Part("shoulder", turned([(27, 135), (20, 146)]), WHITE),
         Part("cap", turned([(20, 146), (20, 178), (16, 183)]), YELLOW),
     )
@@ -110,7 +117,14 @@ def _pump_head() -> Solid:
 
 def _blue_moon(rng: Generator) -> Parts:
     return (
-        Part("body", _flask(38, 27, 110, 150, 15), BLUE, printing.label(BLUE, WHITE, SKY, rng, repeats=2, height=144), "cylinder", 0.4),
+        Part(
+            "body",
+            _flask(38, 27, 110, 150, 15),
+            BLUE,
+            printing.label(BLUE, WHITE, SKY, rng, repeats=2, height=144),
+            "cylinder",
+            0.4,
+        ),
         Part("cap", turned([(17, 150), (16, 182)]), WHITE),
     )
 
@@ -134,25 +148,79 @@ def _mustard(rng: Generator) -> Parts:
 
 ENTRIES = (
     Entry("mustard bottle", "condiment", ("yellow",), 0.45, 0.6, _mustard),
-    Entry("ketchup bottle", "condiment", ("red",), 0.45, 0.6, _capped(
-        turned([(28, 0), (30, 4), (30, 90), (27, 120), (15, 155)]), 155, turned([(17, 0), (15, 26)]), (RED, WHITE, WHITE, WHITE))),
-    Entry("bleach cleanser", "cleaning", ("white", "blue"), 0.6, 0.6, _capped(
-        _flask(46, 31, 130, 175, 15), 175, turned([(17, 0), (15, 32)]), (WHITE, BLUE, BLUE, NAVY))),
+    Entry(
+        "ketchup bottle",
+        "condiment",
+        ("red",),
+        0.45,
+        0.6,
+        _capped(
+            turned([(28, 0), (30, 4), (30, 90), (27, 120), (15, 155)]),
+            155,
+            turned([(17, 0), (15, 26)]),
+            (RED, WHITE, WHITE, WHITE),
+        ),
+    ),
+    Entry(
+        "bleach cleanser",
+        "cleaning",
+        ("white", "blue"),
+        0.6,
+        0.6,
+        _capped(_flask(46, 31, 130, 175, 15), 175, turned([(17, 0), (15, 32)]), (WHITE, BLUE, BLUE, NAVY)),
+    ),
     Entry("blue moon", "cleaning", ("blue", "white"), 0.5, 0.6, _blue_moon),
     Entry("magic clean", "cleaning", ("green", "white"), 0.45, 0.6, _spray),
     Entry("repellent", "cleaning", ("green", "yellow"), 0.3, 0.6, _repellent),
-    Entry("shampoo bottle", "hygiene", ("purple",), 0.4, 0.55, _capped(
-        _flask(34, 22, 125, 150, 16), 150, rod(17, 24), (PURPLE, WHITE, WHITE, PINK))),
-    Entry("shampoo", "hygiene", ("white", "green"), 0.35, 0.55, _capped(
-        _flask(32, 21, 130, 145, 22, 3.0), 145, loft([(0, 24, 20), (28, 22, 18)]), (WHITE, GREEN, LIME, GREEN))),
-    Entry("mouth rinse", "hygiene", ("green",), 0.4, 0.55, _capped(
-        _flask(33, 24, 100, 130, 16, 4.0), 130, rod(18, 28), ((60, 170, 120), WHITE, WHITE, GREEN))),
-    Entry("lotion bottle", "hygiene", ("white",), 0.3, 0.6, _capped(
-        _flask(29, 29, 105, 128, 14), 128, rod(16, 26), (WHITE, TAN, SKY, NAVY))),
+    Entry(
+        "shampoo bottle",
+        "hygiene",
+        ("purple",),
+        0.4,
+        0.55,
+        _capped(_flask(34, 22, 125, 150, 16), 150, rod(17, 24), (PURPLE, WHITE, WHITE, PINK)),
+    ),
+    Entry(
+        "shampoo",
+        "hygiene",
+        ("white", "green"),
+        0.35,
+        0.55,
+        _capped(_flask(32, 21, 130, 145, 22, 3.0), 145, loft([(0, 24, 20), (28, 22, 18)]), (WHITE, GREEN, LIME, GREEN)),
+    ),
+    Entry(
+        "mouth rinse",
+        "hygiene",
+        ("green",),
+        0.4,
+        0.55,
+        _capped(_flask(33, 24, 100, 130, 16, 4.0), 130, rod(18, 28), ((60, 170, 120), WHITE, WHITE, GREEN)),
+    ),
+    Entry(
+        "lotion bottle",
+        "hygiene",
+        ("white",),
+        0.3,
+        0.6,
+        _capped(_flask(29, 29, 105, 128, 14), 128, rod(16, 26), (WHITE, TAN, SKY, NAVY)),
+    ),
     Entry("face wash", "hygiene", ("white", "blue"), 0.15, 0.6, _standing_tube(22, 22, 140, WHITE, BLUE, SKY, BLUE)),
-    Entry("facial cleanser", "hygiene", ("white", "blue"), 0.15, 0.6, _standing_tube(23, 20, 150, WHITE, NAVY, NAVY, NAVY)),
+    Entry(
+        "facial cleanser", "hygiene", ("white", "blue"), 0.15, 0.6, _standing_tube(23, 20, 150, WHITE, NAVY, NAVY, NAVY)
+    ),
     Entry("hand soap", "hygiene", ("pink", "white"), 0.35, 0.6, _pump((235, 125, 165), RED)),
     Entry("water bottle", "beverage", ("blue",), 0.5, 0.6, _water_bottle),
-    Entry("syrup", "condiment", ("brown",), 0.4, 0.6, _capped(
-        turned([(29, 0), (31, 4), (31, 80), (13, 120), (13, 140)]), 140, rod(15, 18), ((96, 50, 22), YELLOW, PALE_YELLOW, BLACK))),
+    Entry(
+        "syrup",
+        "condiment",
+        ("brown",),
+        0.4,
+        0.6,
+        _capped(
+            turned([(29, 0), (31, 4), (31, 80), (13, 120), (13, 140)]),
+            140,
+            rod(15, 18),
+            ((96, 50, 22), YELLOW, PALE_YELLOW, BLACK),
+        ),
+    ),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,9 +38,7 @@ def chain(path: Float, radii: Float, *, closed: bool = False) -> Pieces:
     if closed:
         path, radii = np.concatenate([path, path[:1]]), np.append(radii, radii[0])
     kept = straighten(np.column_stack([path, radii]))
-    return tuple(
-        capsule(kept[i, :3], kept[i + 1, :3], kept[i : i + 2, 3].mean()) for i in range(len(kept) - 1)
-    )
+    return tuple(capsule(p[:3], q[:3], (p[3] + q[3]) / 2) for p, q in pairwise(kept))
 
 
 def stack(sections: Float, power: float = 2.0) -> Pieces:
@@ -48,7 +47,7 @@ def stack(sections: Float, power: float = 2.0) -> Pieces:
     outline = superellipse(RING, power)
     spread = (1 + 1 / np.cos(np.pi / RING)) / 2 if power == 2.0 else 1.0
     pieces = []
-    for low, high in zip(kept[:-1], kept[1:], strict=True):
+    for low, high in pairwise(kept):
         if high[0] - low[0] < 1e-6:
             continue
         round_and_straight = power == 2.0 and np.ptp([*low[1:3], *high[1:3]]) < FAITHFUL_M and low[3] == high[3]

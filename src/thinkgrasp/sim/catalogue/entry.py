@@ -84,6 +84,4 @@ def _visual(part: Part, solid: Solid, shade: float) -> VisualPiece:
         image = np.clip(part.picture * shade, 0, 255).round().astype(np.uint8)
         texture = Texture(image, part.projection, np.stack([vertices.min(axis=0), vertices.max(axis=0)]))
     r, g, b = (float(min(1.0, shade * c / 255)) for c in part.color)
-    return VisualPiece(
-        part.name, vertices.astype(np.float32), faces.astype(np.int32), (r, g, b), texture, part.gloss
-    )
+    return VisualPiece(part.name, vertices.astype(np.float32), faces.astype(np.int32), (r, g, b), texture, part.gloss)

@@ -65,7 +65,7 @@ def _banana(rng: Generator) -> Parts:
     tip = path[-1] + 6 * np.array([-np.sin(np.radians(50)), np.cos(np.radians(50)), 0])
     return (
         Part("body", tube(path, radii, sides=10).at(x=-82), YELLOW, gloss=0.2),
-        Part("stalk", tube([path[-1], tip, tip + [-9, 7, 0]], 5.5, sides=8).at(x=-82), LEAF),
+        Part("stalk", tube([path[-1], tip, tip + np.array([-9, 7, 0])], 5.5, sides=8).at(x=-82), LEAF),
     )
 
 

@@ -128,8 +128,7 @@ def taper(r0: float, r1: float, length: float, *, sides: int = 16) -> Solid:
         The common tangent of two circles touches both at the angle asin((r0 - r1) / length) above the equator.
     """
     lean = np.arcsin(np.clip((r0 - r1) / length, -1, 1))
-    low = np.linspace(-np.pi / 2, lean, 7)
-    high = np.linspace(lean, np.pi / 2, 7)
+    low, high = (np.linspace(*ends, sides // 4 + 3) for ends in ((-np.pi / 2, lean), (lean, np.pi / 2)))
     profile = np.concatenate(
         [
             np.column_stack([r0 * np.cos(low), r0 * np.sin(low)]),
@@ -137,7 +136,7 @@ def taper(r0: float, r1: float, length: float, *, sides: int = 16) -> Solid:
         ]
     )
     profile[[0, -1], 0] = 0.0
-    middle = np.array([[z, r, r, 0.0] for r, z in profile[[6, 7]]]) * MM
+    middle = np.array([[z, r, r, 0.0] for r, z in profile[len(low) - 1 : len(low) + 1]]) * MM
     pieces = (
         CollisionPiece("sphere", (r0 * MM,)),
         *convex.stack(middle),
@@ -177,9 +176,7 @@ def tube(path: ArrayLike, radius: float | ArrayLike, *, sides: int = 8, closed: 
     """A round bar along a path (K, 3) [mm] with one radius or one per point."""
     points = MM * np.asarray(path, np.float64)
     radii = MM * np.broadcast_to(np.asarray(radius, np.float64), len(points))
-    return Solid(
-        shapes.sweep(points, radii, sides=sides, closed=closed), convex.chain(points, radii, closed=closed)
-    )
+    return Solid(shapes.sweep(points, radii, sides=sides, closed=closed), convex.chain(points, radii, closed=closed))
 
 
 def arc(radius: float, start_deg: float, end_deg: float, count: int = 9, *, squash: float = 1.0) -> Float:
