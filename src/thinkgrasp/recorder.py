@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import shutil
@@ -91,7 +92,8 @@ class EpisodeRecorder:
         final = step_folder(self._folder, step)
         partial = final.with_name(f".{final.name}.partial")
         try:
-            shutil.rmtree(partial, ignore_errors=True)
+            for left_over in (partial, final):
+                shutil.rmtree(left_over, ignore_errors=True)
             partial.mkdir()
             save_frame(decision.scene.frame, partial)
             picture = draw_overlay(decision, self._gripper)
@@ -163,11 +165,16 @@ def _clear(folder: Path) -> None:
 
 
 def _append(path: Path, data: bytes) -> None:
-    """Add to a file and wait until it is on the disk."""
+    """Add to a file, all or nothing, and wait until it is on the disk."""
     handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+    size = os.fstat(handle).st_size
     try:
-        os.write(handle, data)
+        if os.write(handle, data) < len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         os.fsync(handle)
+    except OSError:
+        os.ftruncate(handle, size)
+        raise
     finally:
         os.close(handle)
 

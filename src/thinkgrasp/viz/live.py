@@ -195,8 +195,8 @@ class LiveView:
     def _stand(self, *, world: bool) -> None:
         """Put the first look where the workspace fills it: from the front left, or from the camera's own place."""
         self._server.scene.set_up_direction("+z" if world else "-y")
-        self._server.initial_camera.position = (1.05, -0.55, 0.55) if world else (0.0, -0.05, 0.0)
-        self._server.initial_camera.look_at = (0.5, 0.05, 0.02) if world else (0.0, 0.0, 0.7)
+        self._server.initial_camera.position = (1.0, -0.48, 0.5) if world else (0.0, -0.05, 0.0)
+        self._server.initial_camera.look_at = (0.48, 0.08, 0.0) if world else (0.0, 0.0, 0.7)
 
     def _toggle(self, name: str) -> None:
         visible = self._switches[name].value

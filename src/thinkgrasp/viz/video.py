@@ -14,7 +14,7 @@ from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageChops, ImageDraw, ImageFont
 
 from thinkgrasp.errors import ContractError, InputError
 from thinkgrasp.outputs import check_writable, write_atomic
@@ -33,6 +33,7 @@ KEY_EVERY = 50
 """Every so many frames the whole picture is stored, which heals what the codec left behind."""
 
 _NO_BLEND = 0b10
+_IS_CHANGE = 3 * ((CHANGED + 1) * [0] + (255 - CHANGED) * [255])
 
 
 class VideoWriter:
@@ -118,20 +119,19 @@ class VideoWriter:
         ]
         waiting: tuple[int, int, Image.Image] | None = None
         duration = 0
-        shown: NDArray[np.int16] | None = None
+        shown: Image.Image | None = None
         for i, (start, length) in enumerate(self._kept):
             self._spool.seek(start)
             picture = Image.open(io.BytesIO(self._spool.read(length)))
-            pixels = np.asarray(picture, np.int16)
             whole = (0, 0, width, height)
-            box = whole if shown is None or i % KEY_EVERY == 0 else _changed(pixels, shown)
+            box = whole if shown is None or i % KEY_EVERY == 0 else _changed(picture, shown)
             if box is not None:
                 if waiting is not None:
                     chunks.append(_frame(*waiting, duration))
-                waiting, duration = (box[0], box[1], picture.crop(box)), 0
-                shown = pixels.copy() if shown is None else shown
-                rows, columns = slice(box[1], box[3]), slice(box[0], box[2])
-                shown[rows, columns] = pixels[rows, columns]
+                part = picture.crop(box)
+                waiting, duration = (box[0], box[1], part), 0
+                shown = picture.copy() if shown is None else shown
+                shown.paste(part, box)
             duration += frame_ms
         if waiting is not None:
             chunks.append(_frame(*waiting, duration + LAST_FRAME_MS))
@@ -158,17 +158,13 @@ class _Caption:
         return self._last[1]
 
 
-def _changed(a: NDArray[np.int16], b: NDArray[np.int16]) -> tuple[int, int, int, int] | None:
+def _changed(a: Image.Image, b: Image.Image) -> tuple[int, int, int, int] | None:
     """The box (x0, y0, x1, y1) of what differs, in whole blocks of the codec; None = nothing."""
-    differs = np.abs(a - b).max(axis=2) > CHANGED
-    rows, columns = np.flatnonzero(differs.sum(axis=1)), np.flatnonzero(differs.sum(axis=0))
-    if len(rows) == 0:
+    box = ImageChops.difference(a, b).point(_IS_CHANGE).getbbox()
+    if box is None:
         return None
-    x0, y0 = (int(first[0]) // BLOCK_PX * BLOCK_PX for first in (columns, rows))
-    height, width = differs.shape
-    x1, y1 = (
-        min(size, -(-(int(last[-1]) + 1) // BLOCK_PX) * BLOCK_PX) for last, size in ((columns, width), (rows, height))
-    )
+    x0, y0 = (low // BLOCK_PX * BLOCK_PX for low in box[:2])
+    x1, y1 = (min(-(-high // BLOCK_PX) * BLOCK_PX, size) for high, size in zip(box[2:], a.size, strict=True))
     return x0, y0, x1, y1
 
 
