@@ -22,8 +22,8 @@ class ReachCheck:
     A grasp passes when one branch of the inverse kinematics leads within joint limits from the pre-grasp straight to
     the grasp and straight up, the arm meeting nothing that stands still (table, bin, camera mount) nor the perceived
     cloud, and the pre-grasp being clear of everything. The gripper at the object is not looked at here: the collision
-    check has done so against every single point. Grasps are looked at best first, until `max_kept` have passed; the
-    rest is dropped too, as what passes here is promised to be reachable, and selection needs only so many to choose from.
+    check has done so against every single point. Grasps are looked at best first, until `max_kept` have passed. The
+    rest is dropped too: what passes is promised to be reachable, and selection needs only so many to choose from.
 
     World coordinates are those of the robot's base, z up out of the table.
 

@@ -16,7 +16,7 @@ from thinkgrasp.motion import ur5e
 from thinkgrasp.motion.collision import CarriedBox, Phase, PlanningWorld
 from thinkgrasp.motion.paths import PathBudget, PathPlanner, PathQuery
 from thinkgrasp.motion.rrt_connect import rrt_connect
-from thinkgrasp.motion.straight import SPACING_M, StraightGrasps, flange_poses, straight_grasps
+from thinkgrasp.motion.straight import StraightGrasps, flange_poses, straight_grasps, straight_up
 from thinkgrasp.motion.trajectory import Trajectory, time_path
 
 Float = NDArray[np.float64]
@@ -178,12 +178,8 @@ class ArmMotion:
         """
         self.world.carry(carried)
         self.world.see(cloud_m)
-        goals = np.reshape(q_goal, (-1, 6))
-        for out in self._ways_out(q_start, opening_m):
-            path = self._path(out[-1], goals, opening_m)
-            if path is not None:
-                return time_path(np.concatenate([out[:-1], path]), ur5e.LIMITS)
-        return "no path"
+        path = self._path(q_start, np.reshape(q_goal, (-1, 6)), opening_m)
+        return "no path" if path is None else time_path(path, ur5e.LIMITS)
 
     def plan_to_poses(
         self,
@@ -233,20 +229,19 @@ class ArmMotion:
                 yield path
 
     def _path(self, q_start: Float, goals: Float, opening_m: float) -> Float | None:
+        out = self._way_out(q_start, opening_m)
+        if out is None:
+            return None
         limits = ur5e.LIMITS
-        lower, upper = np.minimum(limits.lower, q_start), np.maximum(limits.upper, q_start)
-        query = PathQuery(partial(self._free, opening_m, "transfer"), q_start, goals, lower, upper)
-        return self.planner(query, np.random.default_rng(self.seed), self.budget)
+        lower, upper = np.minimum(limits.lower, out[-1]), np.maximum(limits.upper, out[-1])
+        query = PathQuery(partial(self._free, opening_m, "transfer"), out[-1], goals, lower, upper)
+        path = self.planner(query, np.random.default_rng(self.seed), self.budget)
+        return None if path is None else np.concatenate([out[:-1], path])
 
-    def _ways_out(self, q_start: Float, opening_m: float) -> list[Float]:
-        """Return the path (K, 6) up to the first clear configuration; the start alone (1, 6) where that is clear."""
+    def _way_out(self, q_start: Float, opening_m: float) -> Float | None:
+        """Return the path (K, 6) straight up to the first clear configuration; (1, 6) where the start is clear."""
         if self._free(opening_m, "transfer", q_start[None])[0]:
-            return [q_start[None]]
-        T = np.repeat(ur5e.forward(q_start)[None], round(_ESCAPE_M / SPACING_M) + 1, axis=0)
-        T[:, 2, 3] += SPACING_M * np.arange(len(T))
-        q = ur5e.inverse(T)
-        branch = int(np.nanargmin(np.abs(ur5e.LIMITS.nearest_to(q_start, q[0]) - q_start).max(axis=1)))
-        path = np.unwrap(q[:, branch], axis=0)
-        path += q_start - path[0]
-        clear = self._free(opening_m, "transfer", path) & ur5e.LIMITS.contain(path)
-        return [path[: k + 1] for k in np.flatnonzero(clear)[:1]]
+            return q_start[None]
+        path = straight_up(q_start, _ESCAPE_M)
+        clear = self._free(opening_m, "transfer", path)
+        return path[: int(np.argmax(clear)) + 1] if clear.any() else None

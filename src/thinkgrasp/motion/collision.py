@@ -27,7 +27,7 @@ Phase = Literal["transfer", "contact"]
 object: what stands still without clearance, and the cloud by the arm alone, not by the gripper nor what it holds; the
 grasp checks look at the gripper against every single point."""
 
-_ARM, _STATIC, _CLOUD, _CARRIED = 1, 2, 4, 8
+_ARM, _GRIPPER, _STATIC, _CLOUD, _CARRIED = 1, 2, 4, 8, 16
 _CLOUD_NAME, _CARRIED_NAME = "cloud", "carried"
 _GRIPPER_BODIES = ("gripper", "right_crank", "right_finger", "left_crank", "left_finger")
 _CLEAR_OF_CARRIED = ("shoulder_pan_link", "shoulder_lift_link", "elbow_link")
@@ -105,8 +105,11 @@ class PlanningWorld:
         spec.compiler.degree = False
         add_arm(spec)
         for geom in spec.geoms:
-            meets_carried = _CARRIED if geom.parent.name in _CLEAR_OF_CARRIED else 0
-            geom.contype, geom.conaffinity = _ARM, _ARM | _STATIC | _CLOUD | meets_carried
+            if geom.parent.name in _GRIPPER_BODIES:
+                geom.contype, geom.conaffinity = _GRIPPER, _STATIC | _CLOUD
+            else:
+                meets_carried = _CARRIED if geom.parent.name in _CLEAR_OF_CARRIED else 0
+                geom.contype, geom.conaffinity = _ARM, _ARM | _GRIPPER | _STATIC | _CLOUD | meets_carried
         for box in self.statics:
             geom = spec.worldbody.add_geom(
                 name=box.name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=box.center_m, size=box.half_m

@@ -15,6 +15,9 @@ Float = NDArray[np.float64]
 Free = Callable[[Float], NDArray[np.bool_]]
 """Maps joint positions (M, n) to (M,) True where nothing collides."""
 
+_DETOUR_RAD = 1.6
+"""How far outside the box around start and goals a path may lead."""
+
 
 @dataclass(frozen=True, eq=False)
 class PathQuery:
@@ -43,6 +46,19 @@ class PathQuery:
             )
         if not ((self.start >= self.lower - 1e-9) & (self.start <= self.upper + 1e-9)).all():
             raise InputError(f"the start of a path is outside its bounds: {np.round(self.start, 3).tolist()} rad")
+
+    def region(self) -> tuple[Float, Float]:
+        """Return the corners (n,) of the part of the space to search: around start and goals, within the bounds."""
+        around = np.concatenate([self.start[None], self.goals])
+        low, high = around.min(axis=0) - _DETOUR_RAD, around.max(axis=0) + _DETOUR_RAD
+        return np.maximum(low, self.lower), np.minimum(high, self.upper)
+
+    def clear_goals(self) -> Float:
+        """Return the goals (K, n) that are within the bounds and free; none if the start itself is not."""
+        goals = self.goals[((self.goals >= self.lower) & (self.goals <= self.upper)).all(axis=1)]
+        if len(goals) == 0 or not self.free(self.start[None])[0]:
+            return goals[:0]
+        return goals[self.free(goals)]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ References:
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,8 +18,6 @@ Float = NDArray[np.float64]
 
 _STEP_RAD = 0.6
 """Farthest that a tree grows towards a random configuration."""
-_DETOUR_RAD = 1.6
-"""How far outside the box around start and goals random configurations may lie."""
 
 
 def rrt_connect(query: PathQuery, rng: np.random.Generator, budget: PathBudget | None = None) -> Float | None:
@@ -33,13 +33,10 @@ def rrt_connect(query: PathQuery, rng: np.random.Generator, budget: PathBudget |
         found within the budget, or the start or all goals collide.
     """
     budget = budget or PathBudget()
-    if not query.free(query.start[None])[0]:
-        return None
-    goals = query.goals[((query.goals >= query.lower) & (query.goals <= query.upper)).all(axis=1)]
-    goals = goals[query.free(goals)] if len(goals) else goals
+    goals = query.clear_goals()
     if len(goals) == 0:
         return None
-    reachable = PathQuery(query.free, query.start, goals, query.lower, query.upper)
+    reachable = replace(query, goals=goals)
     path = direct(reachable, budget)
     if path is None:
         path = _grow(reachable, rng, budget)
@@ -49,9 +46,7 @@ def rrt_connect(query: PathQuery, rng: np.random.Generator, budget: PathBudget |
 
 def _grow(query: PathQuery, rng: np.random.Generator, budget: PathBudget) -> Float | None:
     counted = _Counted(query.free)
-    around = np.concatenate([query.start[None], query.goals])
-    low = np.maximum(around.min(axis=0) - _DETOUR_RAD, query.lower)
-    high = np.minimum(around.max(axis=0) + _DETOUR_RAD, query.upper)
+    low, high = query.region()
     here, there = _Tree(query.start[None]), _Tree(query.goals)
     from_start = True
     while counted.checks < budget.max_checks:

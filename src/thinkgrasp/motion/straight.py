@@ -13,6 +13,7 @@ from thinkgrasp.motion.robotiq_2f85 import tip_reach
 Float = NDArray[np.float64]
 
 SPACING_M = 0.01
+_TURN = 2 * np.pi
 _HALF_TURN = np.array([0, 0, 0, 0, 0, np.pi])
 _JUMP_RAD = 0.4
 """Between two samples 1 cm apart, a joint that turns farther passes a singular pose."""
@@ -75,6 +76,21 @@ def straight_grasps(
     good = smooth & ur5e.LIMITS.contain(q).all(axis=1)
     order = np.argsort(np.abs(q[good, 0] - q_near).max(axis=1), kind="stable")
     return StraightGrasps(index[good][order], q[good][order], n_in)
+
+
+def straight_up(q_start: Float, height_m: float) -> Float:
+    """Return the joint path (S, 6) [rad] from q_start (6,) straight up, as far as it goes within limits."""
+    T = np.repeat(ur5e.forward(q_start)[None], round(height_m / SPACING_M) + 1, axis=0)
+    T[:, 2, 3] += SPACING_M * np.arange(len(T))
+    q = ur5e.inverse(T)
+    q += _TURN * np.round((q_start - q) / _TURN)
+    branch = int(np.argmin(np.nan_to_num(np.abs(q[0] - q_start).max(axis=1), nan=np.inf)))
+    path = q[:, branch]
+    path[0] = q_start
+    path = path[: int(np.argmin(np.append(np.isfinite(path).all(axis=1), False)))]
+    path = np.unwrap(path, axis=0)
+    steady = (np.abs(np.diff(path, axis=0)).max(axis=1, initial=0.0) < _JUMP_RAD) & ur5e.LIMITS.contain(path[1:])
+    return path[: 1 + int(np.argmin(np.append(steady, False)))]
 
 
 def flange_poses(T_world_tcp: Float, opening_m: Float) -> Float:
