@@ -15,7 +15,7 @@ _FUR = (48, 42, 42)
 
 
 def _egg(a: float, b: float, c: float) -> Solid:
-    return egg(a, b, c, sides=12)
+    return egg(a, b, c, sides=10)
 
 
 def _legs(length: float, radius: float, x: float, y: float) -> Solid:
@@ -153,5 +153,5 @@ ENTRIES = (
     Entry("giraffe", "animal", ("yellow", "brown"), 0.1, 0.6, _giraffe),
     Entry("zebra", "animal", ("white", "black"), 0.12, 0.6, _zebra),
     Entry("pig", "animal", ("pink",), 0.14, 0.6, _pig),
-    Entry("duck", "animal", ("yellow", "orange"), 0.05, 0.65, _duck),
+    Entry("duck", "animal", ("yellow",), 0.05, 0.65, _duck),
 )

@@ -23,7 +23,7 @@ def _ball(radius: float, color: printing.RGB, picture: Picture | None = None, gl
 ENTRIES = (
     Entry("tennis ball", "ball", ("yellow",), 0.058, 0.85, _ball(33, FELT, printing.seam(FELT, WHITE), 0.0)),
     Entry("racquetball", "ball", ("blue",), 0.04, 0.8, _ball(28, BLUE, printing.seam(BLUE, SKY, 2), 0.3)),
-    Entry("softball", "ball", ("yellow",), 0.19, 0.75, _ball(38.5, FELT, printing.seam(FELT, RED, 3), 0.1)),
+    Entry("softball", "ball", ("yellow",), 0.19, 0.75, _ball(39, FELT, printing.seam(FELT, RED, 3), 0.1)),
     Entry("baseball", "ball", ("white",), 0.145, 0.7, _ball(36, WHITE, printing.seam(WHITE, RED, 3), 0.1)),
     Entry(
         "golf ball",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
+from thinkgrasp.language import COLOR_NAMES
 from thinkgrasp.language.knowledge import KnownObject, load_knowledge
 from thinkgrasp.sim.catalogue import shapes
 from thinkgrasp.sim.catalogue.printing import RGB, Picture
@@ -52,9 +53,9 @@ class Entry:
     @property
     def known(self) -> KnownObject:
         """The household knowledge of this kind of thing."""
-        objects = load_knowledge().objects
-        wanted = {self.name, self.name.partition(" ")[2]} if self.colors[0] in self.name.split() else {self.name}
-        return next(o for o in objects.values() if wanted & {o.name, *o.synonyms})
+        color, _, rest = self.name.partition(" ")
+        wanted = {self.name, rest} if color in COLOR_NAMES else {self.name}
+        return next(o for o in load_knowledge().objects.values() if wanted & {o.name, *o.synonyms})
 
     def make(self, seed: int) -> SimObject:
         """Build it; the seed varies size, shade and print."""

@@ -69,8 +69,8 @@ def _milk_carton(rng: Generator) -> Parts:
     gable = prism([(-32, 0), (32, 0), (2, 36), (-2, 36)], 64).turn("x", 90).at(y=32, z=120)
     return (
         Part("body", box(64, 64, 120), WHITE, printing.label(WHITE, BLUE, BLUE, rng)),
-        Part("gable", gable, SKY),
-        Part("rim", box(4, 64, 12).at(z=156), WHITE),
+        Part("gable", gable, WHITE),
+        Part("rim", box(4, 64, 12).at(z=156), BLUE),
     )
 
 
@@ -94,8 +94,8 @@ def _potted_meat(rng: Generator) -> Parts:
 def _donut(rng: Generator) -> Parts:
     icing = printing.speckles(PINK, WHITE, 60, rng, 2)
     return (
-        Part("body", ring(29, 15).at(z=15), (190, 130, 70)),
-        Part("icing", ring(29, 14.5).at(z=17.5).ghost(), PINK, icing, "box", 0.5),
+        Part("body", ring(24, 13.5).at(z=13.5), (190, 130, 70)),
+        Part("icing", ring(24, 13).at(z=15.5).ghost(), PINK, icing, "box", 0.5),
     )
 
 
@@ -103,12 +103,12 @@ ENTRIES = (
     Entry("cracker box", "box", ("red",), 0.41, 0.6, carton(60, 155, 205, RED, YELLOW, WHITE)),
     Entry("sugar box", "box", ("yellow",), 0.5, 0.6, carton(90, 40, 172, YELLOW, WHITE, BLUE)),
     Entry("white sugar box", "box", ("white",), 0.45, 0.6, carton(85, 44, 135, WHITE, SKY, BLUE)),
-    Entry("pudding box", "box", ("brown",), 0.19, 0.6, carton(108, 86, 35, DARK_BROWN, CREAM, WHITE)),
-    Entry("gelatin box", "box", ("red",), 0.1, 0.6, carton(84, 72, 28, RED, WHITE, WHITE)),
+    Entry("pudding box", "box", ("brown",), 0.19, 0.6, carton(108, 35, 86, DARK_BROWN, CREAM, WHITE)),
+    Entry("gelatin box", "box", ("red",), 0.1, 0.6, carton(84, 68, 28, RED, WHITE, WHITE)),
     Entry("pink tea box", "box", ("pink",), 0.12, 0.6, carton(110, 64, 70, PINK, WHITE, RED)),
     Entry("pasta box", "box", ("blue",), 0.45, 0.6, carton(80, 38, 180, BLUE, YELLOW, WHITE)),
     Entry("tomato soup can", "can", ("red", "white"), 0.35, 0.55, can(33.5, 101, RED, WHITE, WHITE)),
-    Entry("tuna can", "can", ("blue",), 0.17, 0.55, can(42, 33, BLUE, WHITE, YELLOW)),
+    Entry("tuna can", "can", ("grey", "blue"), 0.17, 0.55, can(36, 34, BLUE, WHITE, YELLOW)),
     Entry("corn can", "can", ("green",), 0.34, 0.55, can(36, 98, GREEN, YELLOW, WHITE)),
     Entry("potted meat can", "can", ("blue", "yellow"), 0.37, 0.55, _potted_meat),
     Entry("chips can", "can", ("red",), 0.2, 0.6, _chips_can),

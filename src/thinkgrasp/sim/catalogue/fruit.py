@@ -50,9 +50,9 @@ def _flushed(shape: Solid, color: RGB, flush: RGB, share: float, stalk_z: float)
 
 def _apple() -> Solid:
     angle = np.linspace(-np.pi / 2, np.pi / 2, 13)
-    r, z = 38 * np.cos(angle).round(12), 34 * np.sin(angle)
+    r, z = 35.5 * np.cos(angle).round(12), 32 * np.sin(angle)
     z = np.where(z > 0, z - 3.5 * np.exp(-((r / 12) ** 2)), z)
-    return Solid(turned(np.column_stack([r, z])[1:-1]).surface, egg(38, 38, 34).collisions)
+    return Solid(turned(np.column_stack([r, z])[1:-1]).surface, egg(35.5, 35.5, 32).collisions)
 
 
 def _pear() -> Solid:
@@ -106,7 +106,7 @@ def _tomato(rng: Generator) -> Parts:
 
 
 def _bell_pepper(rng: Generator) -> Parts:
-    profile = [(14, -42), (24, -36), (31, -15), (36, 10), (36, 22), (28, 32), (12, 33)]
+    profile = [(14, -42), (24, -36), (31, -15), (34.5, 10), (34.5, 22), (28, 32), (12, 33)]
     return (
         Part("body", turned(profile), GREEN, gloss=0.5),
         Part("stalk", tube([(0, 0, 32), (0, 0, 42), (4, 0, 50)], 4), LEAF),
@@ -121,15 +121,15 @@ def _corn(rng: Generator) -> Parts:
 
 
 ENTRIES = (
-    Entry("apple", "fruit", ("red",), 0.16, 0.6, _round(_apple(), RED, (225, 120, 60), stalk_z=28)),
-    Entry("green apple", "fruit", ("green",), 0.15, 0.6, _round(_apple(), LIME, (190, 215, 120), stalk_z=28)),
+    Entry("apple", "fruit", ("red",), 0.16, 0.6, _round(_apple(), RED, (212, 60, 45), stalk_z=26)),
+    Entry("green apple", "fruit", ("green",), 0.15, 0.6, _round(_apple(), LIME, (165, 205, 80), stalk_z=26)),
     Entry("banana", "fruit", ("yellow",), 0.12, 0.7, _banana),
     Entry("strawberry", "fruit", ("red",), 0.025, 0.7, _strawberry),
     Entry("lemon", "fruit", ("yellow",), 0.11, 0.65, _round(_lemon(), (248, 215, 45), (232, 190, 30), count=120)),
     Entry("lime", "fruit", ("green",), 0.07, 0.65, _round(egg(28, 24, 24), (95, 155, 50), (80, 135, 40), count=120)),
-    Entry("peach", "fruit", ("orange", "red"), 0.15, 0.75, _flushed(egg(36, 36, 34), PEACH, (205, 60, 50), 0.4, 30)),
-    Entry("pear", "fruit", ("green",), 0.17, 0.65, _round(_pear(), (170, 190, 65), (140, 150, 50), stalk_z=64)),
-    Entry("orange", "fruit", ("orange",), 0.18, 0.65, _round(ball(37), ORANGE, (225, 115, 15), count=140)),
+    Entry("peach", "fruit", ("orange", "red"), 0.15, 0.75, _flushed(egg(34.5, 34.5, 33), PEACH, RED, 0.35, 30)),
+    Entry("pear", "fruit", ("green",), 0.17, 0.65, _round(_pear(), (170, 190, 65), (155, 172, 58), stalk_z=64)),
+    Entry("orange", "fruit", ("orange",), 0.18, 0.65, _round(ball(35.5), ORANGE, (225, 115, 15), count=140)),
     Entry("plum", "fruit", ("purple",), 0.07, 0.6, _round(egg(27, 25, 25), PLUM, PURPLE, stalk_z=22)),
     Entry("mango", "fruit", ("orange", "red"), 0.3, 0.65, _flushed(egg(52, 35, 32), (240, 150, 35), RED, 0.35, 28)),
     Entry("kiwi", "fruit", ("brown",), 0.09, 0.8, _round(egg(33, 25, 25), BROWN, TAN, count=200)),

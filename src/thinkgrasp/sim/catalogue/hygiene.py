@@ -8,7 +8,7 @@ from thinkgrasp.sim.catalogue import printing
 from thinkgrasp.sim.catalogue.entry import Entry, Part, Parts
 from thinkgrasp.sim.catalogue.food import carton
 from thinkgrasp.sim.catalogue.palette import BLUE, GREEN, LEAF, NAVY, PINK, RED, SKY, WHITE, YELLOW
-from thinkgrasp.sim.catalogue.solid import box, egg, loft, rod, total, tube
+from thinkgrasp.sim.catalogue.solid import Solid, box, egg, loft, rod, tube
 
 
 def _soap(rng: Generator) -> Parts:
@@ -17,12 +17,15 @@ def _soap(rng: Generator) -> Parts:
 
 
 def _toothpaste_tube(rng: Generator) -> Parts:
-    body = loft([(0, 17, 17), (36, 19, 15), (108, 24, 4), (116, 24, 3)]).turn("y", -90).turn("x", 90).at(z=17)
-    stripe = total([box(70, 9, 1).at(x=-36, y=0, z=33.2)]).turn("y", 9).at(x=-4, z=-5).ghost()
+    steps = [(0, 17, 17), (36, 19, 15), (58, 20.5, 12), (108, 24, 4), (116, 24, 3)]
+
+    def lying(solid: Solid) -> Solid:
+        return solid.turn("y", -90).turn("x", 90).turn("y", -7)
+
     return (
-        Part("body", body, WHITE, gloss=0.5),
-        Part("stripe", stripe, RED),
-        Part("cap", rod(14, 20).turn("y", 90).at(z=17), BLUE, gloss=0.4),
+        Part("body", lying(loft(steps[:2]) + loft(steps[2:])), WHITE, gloss=0.5),
+        Part("stripe", lying(loft(steps[1:3])), RED, gloss=0.5),
+        Part("cap", lying(rod(14, 20).at(z=-20)), BLUE, gloss=0.4),
     )
 
 
@@ -81,7 +84,7 @@ ENTRIES = (
     Entry("toothpaste box", "hygiene", ("red", "white"), 0.13, 0.6, carton(180, 40, 36, RED, WHITE, WHITE)),
     Entry("thera med", "hygiene", ("white", "blue"), 0.15, 0.6, _thera_med),
     Entry("toothbrush", "hygiene", ("green", "white"), 0.02, 0.6, _toothbrush),
-    Entry("medicine bottle", "medicine", ("orange", "white"), 0.06, 0.6, _medicine),
+    Entry("medicine bottle", "medicine", ("white", "orange"), 0.06, 0.6, _medicine),
     Entry("deodorant", "hygiene", ("blue", "white"), 0.11, 0.6, _deodorant),
     Entry("hair brush", "hygiene", ("pink", "blue"), 0.09, 0.6, _hair_brush),
     Entry("sponge", "cleaning", ("yellow", "green"), 0.02, 0.85, _sponge),

@@ -81,12 +81,12 @@ def _tongs(rng: Generator) -> Parts:
 
 
 ENTRIES = (
-    Entry("knife", "cutlery", ("black", "grey"), 0.09, 0.55, _knife(BLACK)),
+    Entry("knife", "cutlery", ("grey", "black"), 0.09, 0.55, _knife(BLACK)),
     Entry("spoon", "cutlery", ("grey",), 0.05, 0.5, _spoon),
     Entry("fork", "cutlery", ("grey",), 0.05, 0.5, _fork),
     Entry("spatula", "kitchenware", ("black",), 0.08, 0.6, _spatula),
     Entry("peeler", "kitchenware", ("green",), 0.06, 0.65, _peeler),
     Entry("ice cube mould", "kitchenware", ("blue",), 0.09, 0.65, _ice_cube_mould),
     Entry("tongs", "kitchenware", ("grey", "red"), 0.09, 0.55, _tongs),
-    Entry("salt shaker", "condiment", ("white", "grey"), 0.12, 0.55, _salt_shaker),
+    Entry("salt shaker", "condiment", ("white",), 0.12, 0.55, _salt_shaker),
 )

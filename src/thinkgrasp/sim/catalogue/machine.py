@@ -31,11 +31,11 @@ def _mount(rng: Generator) -> Parts:
 
 
 def _turbine_housing(rng: Generator) -> Parts:
-    volute = turned([(34, 0), (42, 8), (42, 30), (30, 40)])
-    outlet = rod(15, 40).turn("x", 90).at(x=26, z=19)
+    volute = turned([(30, 0), (36, 8), (36, 30), (28, 40)])
+    outlet = rod(15, 40).turn("x", 90).at(x=20, z=19)
     return (
         Part("body", volute, GREY, gloss=0.4),
-        Part("outlet", outlet + rod(19, 7).turn("x", 90).at(x=26, y=-40, z=19), GREY, gloss=0.4),
+        Part("outlet", outlet + rod(19, 7).turn("x", 90).at(x=20, y=-40, z=19), GREY, gloss=0.4),
         Part("rim", vessel([(22, 40), (22, 56)], 6, None), DARK_GREY, gloss=0.4),
     )
 

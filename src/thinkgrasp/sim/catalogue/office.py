@@ -97,13 +97,13 @@ def _eraser(rng: Generator) -> Parts:
     )
 
 
-def _book(rng: Generator) -> Parts:
-    cover = printing.label(GREEN, YELLOW, WHITE, rng)
+def _notebook(rng: Generator) -> Parts:
+    picture = printing.label(GREEN, YELLOW, WHITE, rng)
     return (
-        Part("cover", box(100, 145, 3), GREEN, gloss=0.3),
-        Part("pages", box(94, 139, 18).at(z=3), CREAM),
-        Part("spine", box(3, 145, 18).at(x=-48.5, z=3), GREEN),
-        Part("cover", box(100, 145, 3).at(z=21), GREEN, cover, gloss=0.3),
+        Part("cover", box(68, 110, 2.5), GREEN, gloss=0.3),
+        Part("pages", box(64, 106, 13).at(z=2.5), CREAM),
+        Part("spine", box(2, 110, 13).at(x=-33, z=2.5), GREEN),
+        Part("cover", box(68, 110, 2.5).at(z=15.5), GREEN, picture, gloss=0.3),
     )
 
 
@@ -120,7 +120,7 @@ def _mouse(color: RGB, wheel: RGB) -> Build:
         shell = loft([(0, 52, 29, 0), (8, 54, 31, 0), (22, 48, 28, -2), (31, 32, 20, -6), (35, 14, 9, -8)], power=2.5)
         return (
             Part("body", shell, color, gloss=0.3),
-            Part("wheel", rod(9, 6, 14).turn("x", 90).at(x=26, y=3, z=21), wheel),
+            Part("wheel", rod(9, 6, 14).turn("x", 90).at(x=26, y=3, z=24), wheel),
         )
 
     return build
@@ -142,10 +142,16 @@ def _battery(rng: Generator) -> Parts:
 
 
 def _calculator(rng: Generator) -> Parts:
+    keys = printing.buttons(DARK_GREY, WHITE, RED, 5, 4)
     return (
-        Part("body", box(130, 76, 14, 3), GREY),
-        Part("screen", box(30, 62, 1).at(x=42, z=13.6).ghost(), (168, 190, 160), gloss=0.6),
-        Part("buttons", box(84, 66, 1).at(x=-18, z=13.6).ghost(), GREY, printing.buttons(GREY, WHITE, RED, 5, 4)),
+        Part("body", box(130, 68, 14, 3), DARK_GREY),
+        Part("screen", box(30, 54, 1).at(x=42, z=13.6).ghost(), (168, 190, 160), gloss=0.6),
+        Part(
+            "buttons",
+            box(84, 58, 1).at(x=-18, z=13.6).ghost(),
+            DARK_GREY,
+            keys,
+        ),
     )
 
 
@@ -160,20 +166,20 @@ def _light_bulb(rng: Generator) -> Parts:
 ENTRIES = (
     Entry("black marker", "stationery", ("black",), 0.03, 0.6, _marker(BLACK, BLACK, 9)),
     Entry("red marker", "stationery", ("red",), 0.03, 0.6, _marker(RED, RED, 9)),
-    Entry("marker", "stationery", ("blue", "white"), 0.025, 0.6, _marker(BLUE, WHITE, 10)),
+    Entry("marker", "stationery", ("white", "blue"), 0.025, 0.6, _marker(BLUE, WHITE, 10)),
     Entry("pen", "stationery", ("blue", "grey"), 0.015, 0.65, _pen),
     Entry("scissors", "stationery", ("red", "grey"), 0.09, 0.55, _scissors),
     Entry("tape", "stationery", ("brown",), 0.14, 0.65, _tape),
     Entry("stapler", "stationery", ("blue", "black"), 0.2, 0.6, _stapler),
     Entry("box cutter", "stationery", ("yellow",), 0.08, 0.6, _box_cutter),
-    Entry("glue stick", "stationery", ("yellow", "white"), 0.05, 0.6, _glue_stick),
+    Entry("glue stick", "stationery", ("white", "yellow"), 0.05, 0.6, _glue_stick),
     Entry("eraser", "stationery", ("white", "pink"), 0.03, 0.8, _eraser),
-    Entry("book", "stationery", ("green", "white"), 0.2, 0.6, _book),
+    Entry("notebook", "stationery", ("green", "white"), 0.12, 0.6, _notebook),
     Entry("remote control", "electronics", ("black",), 0.13, 0.6, _remote),
     Entry("white computer mouse", "electronics", ("white",), 0.09, 0.55, _mouse(WHITE, DARK_GREY)),
     Entry("black computer mouse", "electronics", ("black",), 0.09, 0.55, _mouse(BLACK, GREY)),
     Entry("phone", "electronics", ("black",), 0.17, 0.6, _phone),
-    Entry("battery", "electronics", ("black", "yellow"), 0.14, 0.55, _battery),
+    Entry("battery", "electronics", ("yellow", "black"), 0.14, 0.55, _battery),
     Entry("calculator", "electronics", ("grey", "white"), 0.1, 0.6, _calculator),
-    Entry("light bulb", "electronics", ("white", "grey"), 0.05, 0.55, _light_bulb),
+    Entry("light bulb", "electronics", ("white",), 0.05, 0.55, _light_bulb),
 )

@@ -90,7 +90,7 @@ def box(x: float, y: float, z: float, edge: float = 0.0) -> Solid:
     points = np.concatenate([signs * (half - cut.sum(axis=0) + c) for c in cut]) if edge else signs * half
     points[:, 2] += half[2]
     surface = shapes.hull(points)
-    if edge > 2:
+    if edge > 1:
         return Solid(surface, (convex.hull(points),))
     return Solid(surface, (CollisionPiece("box", tuple(half.tolist()), (0.0, 0.0, float(half[2]))),))
 

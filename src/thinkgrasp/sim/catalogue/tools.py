@@ -128,7 +128,7 @@ ENTRIES = (
     Entry("power drill", "tool", ("orange", "black"), 0.7, 0.6, _drill),
     Entry("wrench", "tool", ("grey",), 0.25, 0.5, _wrench),
     Entry("pliers", "tool", ("red", "grey"), 0.2, 0.6, _pliers),
-    Entry("small clamp", "tool", ("black", "orange"), 0.06, 0.6, _small_clamp),
+    Entry("small clamp", "tool", ("black",), 0.06, 0.6, _small_clamp),
     Entry("bar clamp", "tool", ("orange", "black"), 0.35, 0.6, _bar_clamp),
     Entry("padlock", "tool", ("yellow", "grey"), 0.2, 0.5, _padlock),
     Entry("tape measure", "tool", ("yellow", "black"), 0.25, 0.6, _tape_measure),

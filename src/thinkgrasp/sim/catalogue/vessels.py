@@ -117,7 +117,7 @@ ENTRIES = (
     Entry("plate", "tableware", ("white", "blue"), 0.3, 0.6, _plate),
     Entry("dish", "tableware", ("green",), 0.2, 0.6, lambda rng: _with_rim([(50, 0), (68, 26)], 4.5, GREEN, WHITE)),
     Entry("pitcher lid", "tableware", ("blue",), 0.08, 0.6, _pitcher_lid),
-    Entry("vase", "container", ("blue", "white"), 0.4, 0.6, _vase),
+    Entry("vase", "container", ("blue",), 0.4, 0.6, _vase),
     Entry("soap dish", "container", ("blue",), 0.08, 0.6, _soap_dish),
     Entry("wine glass", "drinkware", ("white",), 0.15, 0.5, _wine_glass),
 )
