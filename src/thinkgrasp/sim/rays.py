@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
 
-SEEN_GROUPS = (0, 1, 2)
-"""Geom groups that cameras see: static things, the robot, the objects' visual pieces."""
+STATIC_GROUP, ROBOT_GROUP, OBJECT_GROUP = 0, 1, 2
+SEEN_GROUPS = (STATIC_GROUP, ROBOT_GROUP, OBJECT_GROUP)
+"""Geom groups that cameras see; collision shapes of the objects are in none of them."""
 _MIN_RAYS_PER_THREAD = 4096
 _CHUNKS_PER_THREAD = 8
 _CUTOFF_M = 1e10

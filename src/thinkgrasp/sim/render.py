@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from thinkgrasp.sim.objects import VisualPiece
-from thinkgrasp.sim.rays import THREADS, cast
+from thinkgrasp.sim.rays import ROBOT_GROUP, STATIC_GROUP, THREADS, cast
 from thinkgrasp.sim.textures import LINEAR_FROM_SRGB, sample
 from thinkgrasp.sim.views import CameraView
 
@@ -30,6 +30,8 @@ BACKGROUND = (0.60, 0.62, 0.64)
 """sRGB 0..1 where nothing is hit."""
 _ROBOT_GLOSS, _STATIC_GLOSS = 0.35, 0.08
 _SHADOW_BIAS_M = 0.0015
+_PENUMBRA = 0.004
+"""Blur of shadows on the table, as a share of the image's height."""
 _GRAIN_PERIOD_M, _GRAIN_TEXELS = 0.512, 256
 
 
@@ -39,7 +41,7 @@ class Light:
 
     position: tuple[float, float, float] = (1.15, -0.75, 1.45)
     """World [m]."""
-    key: float = 0.72
+    key: float = 0.68
     sky: float = 0.34
     """From above; surfaces that face down get half."""
     fill: float = 0.14
@@ -82,7 +84,7 @@ def render(
         data: Its state, forwarded.
         view: Camera and pose.
         visuals: Geom id -> its colours, placed in the frame of the geom's body; other geoms take `model.geom_rgba`.
-        shadows: Whether the lamp throws hard shadows.
+        shadows: Whether the lamp throws shadows; their edges are softened on static things.
         light: Where the lamp is and how strong; None = Light().
         threads: Upper limit; the result does not depend on it.
     """
@@ -121,23 +123,25 @@ def shade(
     points = view.eye + distance[:, None] * rays
     normals = seen.normals[index]
     normals[np.einsum("ni,ni->n", normals, rays) > 0] *= -1
-    lit = _lamp_reaches(model, data, points, normals, light, shadows=shadows, threads=threads)
+    facing, reached = _lamp(model, data, points, normals, light, shadows=shadows, threads=threads)
+    c = view.intrinsics
+    if shadows:
+        _soften(reached, model.geom_group[geoms] == STATIC_GROUP, index, (c.height, c.width))
     albedo, gloss = _materials(model, data, view, visuals, geoms, points, normals, distance)
 
-    c = view.intrinsics
     color = np.empty((c.height, c.width, 3), np.uint8)
     color[:] = np.round(np.asarray(BACKGROUND) * 255)
     depth = np.zeros((c.height, c.width), np.float32)
     ids = np.full((c.height, c.width), -1, np.int32)
-    facing = np.zeros((c.height, c.width, 3), np.float32)
-    color.reshape(-1, 3)[index] = _encode(_radiance(view, light, points, normals, lit, albedo, gloss))
+    towards = np.zeros((c.height, c.width, 3), np.float32)
+    color.reshape(-1, 3)[index] = _encode(_radiance(view, light, points, normals, facing * reached, albedo, gloss))
     depth.reshape(-1)[index] = distance
     ids.reshape(-1)[index] = geoms
-    facing.reshape(-1, 3)[index] = normals
-    return Rendering(color, depth, ids, facing)
+    towards.reshape(-1, 3)[index] = normals
+    return Rendering(color, depth, ids, towards)
 
 
-def _lamp_reaches(
+def _lamp(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     points: Float,
@@ -146,18 +150,31 @@ def _lamp_reaches(
     *,
     shadows: bool,
     threads: int,
-) -> Array:
-    """Cosine of the lamp's light on each point (N,), 0 in shadow."""
+) -> tuple[Array, Array]:
+    """Cosine of the lamp's light on each point (N,), and whether it gets there (N,): 1, or 0 in shadow."""
     lamp = np.asarray(light.position)
     beams = points - lamp
     length = np.sqrt(np.einsum("ni,ni->n", beams, beams))
     cosine = np.maximum(-np.einsum("ni,ni->n", beams, normals) / length, 0)
+    reached = np.ones(len(points), np.float32)
     if shadows:
         facing = np.flatnonzero(cosine > 0)
         hits = cast(model, data, lamp, beams[facing], threads=threads)
         blocked = (hits.geoms >= 0) & ((1 - hits.distances) * length[facing] > _SHADOW_BIAS_M)
-        cosine[facing[blocked]] = 0
-    return cosine.astype(np.float32)
+        reached[facing[blocked]] = 0
+    return cosine.astype(np.float32), reached
+
+
+def _soften(reached: Array, static: NDArray[np.bool_], index: NDArray[np.intp], size: tuple[int, int]) -> None:
+    """Blur, in place, the edges of the shadows on static surfaces, without looking at other pixels."""
+    on = index[static]
+    blurred = []
+    for values in (reached[static], 1):
+        image = np.zeros(size, np.float32)
+        image.reshape(-1)[on] = values
+        image = ndimage.gaussian_filter(image, _PENUMBRA * size[0], truncate=2.0, mode="constant")
+        blurred.append(image.reshape(-1)[on])
+    reached[static] = blurred[0] / blurred[1]
 
 
 def _materials(
@@ -172,13 +189,13 @@ def _materials(
 ) -> tuple[Array, Array]:
     """Linear albedo (N, 3) and gloss (N,) of the points."""
     palette = _linear(model.geom_rgba[:, :3])
-    glosses = np.where(model.geom_group == 1, _ROBOT_GLOSS, _STATIC_GLOSS).astype(np.float32)
+    glosses = np.where(model.geom_group == ROBOT_GROUP, _ROBOT_GLOSS, _STATIC_GLOSS).astype(np.float32)
     for geom, piece in visuals.items():
         palette[geom] = _linear(np.asarray(piece.color))
         glosses[geom] = piece.gloss
     albedo = palette[geoms]
 
-    static = np.flatnonzero(model.geom_group[geoms] == 0)
+    static = np.flatnonzero(model.geom_group[geoms] == STATIC_GROUP)
     cell = (points[static, :2] * (_GRAIN_TEXELS / _GRAIN_PERIOD_M)).astype(np.int64) % _GRAIN_TEXELS
     albedo[static] *= _GRAIN[cell[:, 1], cell[:, 0], None]
 

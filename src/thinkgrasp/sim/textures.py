@@ -33,10 +33,20 @@ def sample(texture: Texture, points: Array, normals: Array, pixel_m: float) -> A
     levels = _pyramid(texture)
     texel_m = span_m / max(texture.image.shape[:2])
     level = levels[int(np.clip(np.floor(np.log2(max(pixel_m / texel_m, 1.0))), 0, len(levels) - 1))]
-    h, w = level.shape[:2]
-    column = np.clip((uv[:, 0] * np.float32(w)).astype(np.int32), 0, w - 1)
-    row = np.clip((uv[:, 1] * np.float32(h)).astype(np.int32), 0, h - 1)
-    return level.reshape(-1, 3)[row * w + column]
+    return _bilinear(level, uv)
+
+
+def _bilinear(image: Array, uv: Array) -> Array:
+    """Colours (N, 3) between the four nearest texels of an image (h, w, 3), at coordinates in 0..1."""
+    h, w = image.shape[:2]
+    x = np.clip(uv[:, 0] * np.float32(w) - np.float32(0.5), 0, w - 1)
+    y = np.clip(uv[:, 1] * np.float32(h) - np.float32(0.5), 0, h - 1)
+    x0, y0 = x.astype(np.int32), y.astype(np.int32)
+    x1, y1 = np.minimum(x0 + 1, w - 1), np.minimum(y0 + 1, h - 1)
+    a, b = (x - x0.astype(np.float32))[:, None], (y - y0.astype(np.float32))[:, None]
+    upper = image[y0, x0] + a * (image[y0, x1] - image[y0, x0])
+    lower = image[y1, x0] + a * (image[y1, x1] - image[y1, x0])
+    return (upper + b * (lower - upper)).astype(np.float32)
 
 
 def _coordinates(texture: Texture, points: Array, normals: Array) -> tuple[Array, float]:
