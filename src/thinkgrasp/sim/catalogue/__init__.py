@@ -31,14 +31,13 @@ from thinkgrasp.sim.objects import SimObject
 __all__ = ["categories", "make", "names", "split"]
 
 _FAMILIES = (fruit, food, bottles, vessels, kitchen, tools, machine, office, hygiene, toys, animals, balls)
-_UNSEEN = frozenset(
-    """black marker|red marker|bleach cleanser|blue moon|gelatin box|magic clean|pink tea box|remote control|repellent
-    shampoo bottle|small clamp|soap dish|sugar box|white sugar box|two color hammer|yellow bowl|yellow cup|softball
-    tennis ball|red backpack|white ball|blue ball|battery|mango|hammer|kiwi|sponge|mustard bottle|rubiks cube
-    spoon|lime|stapler|tuna can|eggplant|milk carton""".replace("\n", "|")
-    .replace("    ", "")
-    .split("|")
-)
+_UNSEEN_NAMES = """
+    battery, black marker, bleach cleanser, blue ball, blue moon, eggplant, gelatin box, hammer, kiwi, lime, magic clean,
+    mango, milk carton, mustard bottle, pink tea box, red backpack, red marker, remote control, repellent, rubiks cube,
+    shampoo bottle, small clamp, soap dish, softball, sponge, spoon, stapler, sugar box, tennis ball, tuna can,
+    two color hammer, white ball, white sugar box, yellow bowl, yellow cup
+"""
+_UNSEEN = frozenset(name.strip() for name in _UNSEEN_NAMES.split(","))
 
 
 @cache
@@ -52,7 +51,13 @@ def names() -> tuple[str, ...]:
 
 
 def split(which: Literal["seen", "unseen"]) -> tuple[str, ...]:
-    """Return the names for ordinary clutter ("seen") or for the heavy suite ("unseen"); no name is in both."""
+    """Return the names for ordinary clutter ("seen") or for the heavy suite ("unseen"); no name is in both.
+
+    Raises:
+        ConfigError: Neither "seen" nor "unseen" was asked for.
+    """
+    if which not in ("seen", "unseen"):
+        raise ConfigError(f"no split {which!r} of the catalogue; allowed are 'seen' and 'unseen'")
     return tuple(name for name in names() if (name in _UNSEEN) == (which == "unseen"))
 
 

@@ -36,11 +36,12 @@ def picture(
         (side, side, 3) RGB and (side, side) whether the object is seen there.
     """
     low, high = obj.bounds_m
+    on_table = np.array([*_PLACE, -low[2]])
     world = World([obj], robot=False)
-    world.place(0, make_transform(np.eye(3), [*_PLACE, -low[2]]))
-    mujoco.mj_forward(world.model, world.data)
+    world.place(0, make_transform(np.eye(3), on_table))
+    mujoco.mj_forward(world.model, world.data)  # pyright: ignore[reportAttributeAccessIssue]
     radius = float(np.linalg.norm(high - low)) / 2
-    target = (low + high) / 2 + np.array([*_PLACE, -low[2]])
+    target = (low + high) / 2 + on_table
     direction = np.array(_DIRECTIONS[view])
     eye = target + direction / np.linalg.norm(direction) * 4 * radius
     middle = (side_px - 1) / 2
@@ -59,6 +60,6 @@ def contact_sheet(objects: Sequence[SimObject]) -> Image.Image:
     for i, obj in enumerate(objects):
         x, y = i % COLUMNS * TILE_PX, i // COLUMNS * (TILE_PX + CAPTION_PX)
         color, mask = picture(obj)
-        sheet.paste(Image.fromarray(np.where(mask[..., None], color, np.uint8(_PAPER))), (x, y))
+        sheet.paste(Image.fromarray(np.where(mask[..., None], color, np.array(_PAPER, np.uint8))), (x, y))
         draw.text((x + TILE_PX // 2, y + TILE_PX), obj.name, fill=(40, 40, 40), anchor="ma", font_size=10)
     return sheet.quantize(192, dither=Image.Dither.NONE)

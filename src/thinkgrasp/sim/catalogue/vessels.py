@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.random import Generator
 
-from thinkgrasp.sim.catalogue import printing
 from thinkgrasp.sim.catalogue.entry import Build, Entry, Part, Parts
 from thinkgrasp.sim.catalogue.palette import BLUE, GREEN, RED, SKY, WHITE, YELLOW
 from thinkgrasp.sim.catalogue.printing import RGB
@@ -44,13 +43,14 @@ def _handle(radius: float, low: float, high: float, reach: float) -> Solid:
 
 
 def _mug(color: RGB, stripe: RGB) -> Build:
+    band = vessel([(40.8, 36), (41.1, 56)], 1.0, None).ghost()
+    handle = _handle(39, 20, 70, 26)
+
     def build(rng: Generator) -> Parts:
-        body, rim = _with_rim([(40, 0), (41, 88)], 4.0, color)
-        picture = printing.bands(((0.35, color), (0.2, stripe), (0.45, color)))
         return (
-            Part("body", body.solid, color, picture, "cylinder", _GLAZE),
-            rim,
-            Part("handle", _handle(39, 20, 70, 26), color, gloss=_GLAZE),
+            *_with_rim([(40, 0), (41, 88)], 4.0, color),
+            Part("stripe", band, stripe, gloss=_GLAZE),
+            Part("handle", handle, color, gloss=_GLAZE),
         )
 
     return build
