@@ -29,9 +29,9 @@ from thinkgrasp.episode import (
 )
 from thinkgrasp.errors import InputError
 from thinkgrasp.gripper import GRIPPERS
-from thinkgrasp.interfaces import Recorder
 from thinkgrasp.recorder import EpisodeRecorder
 from thinkgrasp.schema import decision_to_schema, mask_from_png
+from thinkgrasp.testing import check_recorder
 from thinkgrasp.types import Decision, Outcome
 from thinkgrasp.viz.report import write_report
 
@@ -94,7 +94,8 @@ def check_complete(episode: RecordedEpisode) -> None:
 
 
 def test_it_is_a_recorder(tmp_path: Path) -> None:
-    assert isinstance(EpisodeRecorder(tmp_path, header=HEADER, gripper=GRIPPER), Recorder)
+    check_recorder(EpisodeRecorder(tmp_path, header=HEADER, gripper=GRIPPER))
+    assert len(read_episode(tmp_path).steps) == 3
 
 
 def test_what_was_recorded_is_read_back(record, steps: list[Step]) -> None:
@@ -119,8 +120,8 @@ def test_what_was_recorded_is_read_back(record, steps: list[Step]) -> None:
 
 def test_finish_writes_the_published_form(record, steps: list[Step]) -> None:
     recorder = record(steps)
-    episode = recorder.finish(end="goal_in_bin", success=True)
-    assert episode == episode_to_schema(steps, header=HEADER, end="goal_in_bin", success=True, out=recorder.folder)
+    episode = recorder.finish(end="goal_delivered", success=True)
+    assert episode == episode_to_schema(steps, header=HEADER, end="goal_delivered", success=True, out=recorder.folder)
     text = (recorder.folder / "episode.json").read_text()
     assert EpisodeModel.model_validate_json(text) == episode
     published = json.loads(text)
@@ -232,7 +233,7 @@ def test_a_killed_process_leaves_all_finished_steps(tmp_path: Path, delay_s: flo
 
 def test_an_earlier_recording_is_replaced_and_nothing_else(record, steps: list[Step], tmp_path: Path) -> None:
     first = record(steps)
-    first.finish(end="goal_in_bin", success=True)
+    first.finish(end="goal_delivered", success=True)
     (first.folder / "notes.txt").write_text("mine")
     (first.folder / "episode.webp").write_bytes(b"old")
     record(steps[:1])

@@ -24,8 +24,8 @@ from typing import Annotated, Literal, Protocol, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from thinkgrasp.errors import InputError
-from thinkgrasp.schema import Box, DecisionModel, Finite, TimingsModel, Unit, Vector, decision_to_schema, mask_to_png
-from thinkgrasp.types import Decision, Outcome, Relation, Scene
+from thinkgrasp.schema import Box, DecisionModel, Finite, TimingsModel, Vector, decision_to_schema, mask_to_png
+from thinkgrasp.types import Decision, Outcome, Proposal, Relation, Scene
 
 EPISODE_SCHEMA = "thinkgrasp/episode-1"
 SCENE_SCHEMA = "thinkgrasp/scene-1"
@@ -37,7 +37,8 @@ REPORT_FILE = "report.html"
 VIDEO_FILE = "episode.webp"
 STEPS_FOLDER = "steps"
 
-Name = tuple[str, Unit]
+Named = tuple[str, Finite]
+"""A name with its share or degree."""
 
 
 class _Model(BaseModel):
@@ -89,8 +90,8 @@ class ProposalModel(_Model):
     center_m: Vector
     extents_m: Vector
     height_m: tuple[Finite, Finite]
-    colors: tuple[Name, ...]
-    shapes: tuple[Name, ...]
+    colors: tuple[Named, ...]
+    shapes: tuple[Named, ...]
     touches_border: bool
     confidence: Finite
 
@@ -217,25 +218,28 @@ def scene_to_schema(scene: Scene) -> SceneModel:
         else SupportModel(
             normal=_triple(support.normal), offset_m=float(support.offset_m), residual_m=float(support.residual_m)
         ),
-        proposals=tuple(
-            ProposalModel(
-                mark=p.mark,
-                box_xyxy=p.box_xyxy,
-                mask_png=mask_to_png(p.mask),
-                center_m=_triple(p.center_m),
-                extents_m=_triple(p.extents_m),
-                height_m=p.height_m,
-                colors=p.colors,
-                shapes=p.shapes,
-                touches_border=p.touches_border,
-                confidence=p.confidence,
-            )
-            for p in scene.proposals
-        ),
+        proposals=tuple(map(_proposal, scene.proposals)),
         obstructions=tuple(
-            ObstructionModel(relation=e.relation, a=e.a, b=e.b, evidence=e.evidence, unit=e.unit)
+            ObstructionModel(relation=e.relation, a=e.a, b=e.b, evidence=round(float(e.evidence), 6), unit=e.unit)
             for e in scene.obstructions
         ),
+    )
+
+
+def _proposal(proposal: Proposal) -> ProposalModel:
+    x0, y0, x1, y1 = (int(c) for c in proposal.box_xyxy)
+    low, high = (round(float(h), 6) for h in proposal.height_m)
+    return ProposalModel(
+        mark=proposal.mark,
+        box_xyxy=(x0, y0, x1, y1),
+        mask_png=mask_to_png(proposal.mask),
+        center_m=_triple(proposal.center_m),
+        extents_m=_triple(proposal.extents_m),
+        height_m=(low, high),
+        colors=tuple((name, round(float(share), 4)) for name, share in proposal.colors),
+        shapes=tuple((name, round(float(degree), 4)) for name, degree in proposal.shapes),
+        touches_border=bool(proposal.touches_border),
+        confidence=round(float(proposal.confidence), 4),
     )
 
 

@@ -12,7 +12,7 @@ from fakes.browser import Tab, chromium
 
 from thinkgrasp.errors import ConfigError, ContractError, MissingDependency
 from thinkgrasp.gripper import GRIPPERS
-from thinkgrasp.interfaces import Recorder
+from thinkgrasp.testing import check_recorder
 from thinkgrasp.types import Decision, Degradation, Outcome
 from thinkgrasp.viz.live import LiveView
 
@@ -44,7 +44,7 @@ def test_page_follows_the_episode(live: LiveView, make_decision: Make) -> None:
     live.set_meshes(["base", "tool"], [TETRAHEDRON[0]] * 2, [TETRAHEDRON[1]] * 2, [(80, 80, 90), (200, 60, 40)])
     live.set_poses(["tool"], np.array([[1.0, 0, 0, 0]]), np.array([[0.4, 0, 0.2]]))
     with chromium() as browser:
-        tab = Tab(browser, live.url)
+        tab = Tab(browser, live.url, width=900, height=500)
         panel = tab.page.locator(".thinkgrasp")
         panel.wait_for()
         tab.page.wait_for_selector("canvas[data-engine]")
@@ -54,7 +54,7 @@ def test_page_follows_the_episode(live: LiveView, make_decision: Make) -> None:
             assert words in said, words
         assert tab.page.evaluate("typeof window.broken") == "undefined"
         tab.page.wait_for_timeout(500)
-        seen = tab.picture("canvas[data-engine]")[:, :700]
+        seen = tab.picture("canvas[data-engine]")[:, :500]
         assert len(np.unique(seen.reshape(-1, 3), axis=0)) > 100
 
         live.record(make_decision("no_grasp"), None)
@@ -67,13 +67,14 @@ def test_page_follows_the_episode(live: LiveView, make_decision: Make) -> None:
 
 
 def test_it_is_a_recorder_and_shows_a_decision_once(live: LiveView, make_decision: Make) -> None:
-    assert isinstance(live, Recorder)
+    check_recorder(live)
+    assert live._step == 3
     decision = make_decision()
     live.update_decision(decision)
     live.record(decision, Outcome(True, "held"))
-    assert live._step == 1
+    assert live._step == 4
     live.record(make_decision("no_target", marks=False), None)
-    assert live._step == 2
+    assert live._step == 5
 
 
 def test_wrong_calls_are_named(live: LiveView) -> None:

@@ -50,7 +50,7 @@ def record(
     *,
     preset: str = "offline",
     instruction: str = "I need a fruit",
-    end: str | None = "goal_in_bin",
+    end: str | None = "goal_delivered",
 ) -> str:
     """Record an episode and return its page."""
     header = EpisodeHeader(instruction=instruction, goal="banana", preset=preset, seed=7)
@@ -58,7 +58,7 @@ def record(
     for step in steps:
         recorder.record(*step)
     if end is not None:
-        recorder.finish(end=end, success=end == "goal_in_bin")
+        recorder.finish(end=end, success=end == "goal_delivered")
     return (folder / "report.html").read_text("utf-8")
 
 
@@ -89,7 +89,7 @@ def test_page_tells_the_episode(episode: Path) -> None:
     assert page.count('<article class="step"') == 4
     for expected in (
         "“I need a fruit”",
-        "Goal reached Ended because: goal in bin.",
+        "Goal reached Ended because the goal is in the bin.",
         "Steps 4 Grasps held 2 of 3 Goal banana Preset offline Seed 7",
         "Take the goal: yellow banana The fingers closed on nothing. ✕ Missed",
         "Clear the way: grey glass",
@@ -114,7 +114,7 @@ def test_first_step_remembers_nothing(episode: Path) -> None:
 def test_oracle_is_said_loudly(tmp_path: Path) -> None:
     said = words(record(tmp_path, [], preset="oracle", end="nothing_left"))
     assert "Oracle: reads the simulator’s truth" in said
-    assert "✕ Goal not reached Ended because: nothing left." in said
+    assert "✕ Goal not reached Ended because nothing in view answers to the instruction or can hide it." in said
 
 
 def test_running_episode_is_shown_after_every_step(tmp_path: Path) -> None:

@@ -66,6 +66,7 @@ class LiveView:
         self._stand(world=True)
         self._words = server.gui.add_html(_page("<p>Waiting for the first decision.</p>"))
         self._shown: Decision | None = None
+        self._pending = False
         with server.gui.add_folder("Show"):
             self._switches = {
                 name: server.gui.add_checkbox(label, initial_value=True)
@@ -101,16 +102,17 @@ class LiveView:
 
     def record(self, decision: Decision, outcome: Outcome | None) -> None:
         """Show one finished step."""
-        if self._shown is not decision:
+        if not self._pending or self._shown is not decision:
             self.update_decision(decision)
         self.update_outcome(outcome)
+        self._pending = False
 
     def update_decision(self, decision: Decision) -> None:
         """Show what was decided: the cloud, the marks, the candidates and the chosen grasp."""
         self._step += 1
         if self._step == 1 and decision.scene.frame.T_world_camera is None:
             self._stand(world=False)
-        self._shown = decision
+        self._shown, self._pending = decision, True
         with self._server.atomic():
             for handle in self._of_step:
                 handle.remove()

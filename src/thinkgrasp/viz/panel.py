@@ -23,6 +23,7 @@ OUTCOMES = {
     "missed": ("Missed", "The fingers closed on nothing."),
     "slipped": ("Slipped", "It was lifted and then lost."),
     "unreachable": ("Out of reach", "No motion to the grasp was found."),
+    "still_there": ("Still there", "It was held, but is still seen where it was."),
     "collision": ("Collision", "The motion touched something and was stopped."),
 }
 """A reason's name and what it means."""

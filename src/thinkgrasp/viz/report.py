@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import base64
 import re
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 
 from thinkgrasp.episode import REPORT_FILE, VIDEO_FILE, RecordedEpisode, RecordedStep, StepLine, read_episode
 from thinkgrasp.errors import InputError
+from thinkgrasp.loop import END_WORDS
 from thinkgrasp.outputs import write_atomic
 from thinkgrasp.viz.panel import badge, text
 
@@ -16,6 +18,8 @@ MAX_INLINE_VIDEO_BYTES = 16_000_000
 """A larger video is linked, not put into the page."""
 LAST_LINE_OF_VIEW = "start();"
 """view.js ends by starting its own page, which has one view; this page starts many."""
+
+_ENDS: Mapping[str, str] = {**END_WORDS}
 
 
 def write_report(folder: str | Path) -> Path:
@@ -70,7 +74,7 @@ def _header(episode: RecordedEpisode) -> str:
         kind, sign, words = ("good", "✓", "Goal reached") if ended.success else ("bad", "✕", "Goal not reached")
         verdict = (
             f'<span class="badge {kind}"><i aria-hidden="true">{sign}</i>{words}</span>'
-            f"<span>Ended because: {text(ended.end.replace('_', ' '))}.</span>"
+            f"<span>Ended because {text(_ENDS.get(ended.end, ended.end.replace('_', ' ')))}.</span>"
         )
     attempts = [s.line.outcome for s in episode.steps if s.line.outcome is not None]
     held = sum(o.success for o in attempts)
