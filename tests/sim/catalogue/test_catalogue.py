@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 pytest.importorskip("mujoco", reason="the simulator's packages are not installed (extra: sim)")
 pytest.importorskip("trimesh", reason="the simulator's packages are not installed (extra: sim)")
 
-sys.path.insert(0, str(Path(__file__).parent))
-from distances import outside_surface, surface_points, to_piece  # pyright: ignore[reportMissingImports]
+from sim.catalogue.distances import outside_surface, surface_points, to_piece
 
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.geometry import make_transform

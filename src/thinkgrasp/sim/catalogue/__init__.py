@@ -32,10 +32,10 @@ __all__ = ["categories", "make", "names", "split"]
 
 _FAMILIES = (fruit, food, bottles, vessels, kitchen, tools, machine, office, hygiene, toys, animals, balls)
 _UNSEEN_NAMES = """
-    battery, black marker, bleach cleanser, blue ball, blue moon, eggplant, gelatin box, hammer, kiwi, lime, magic clean,
-    mango, milk carton, mustard bottle, pink tea box, red backpack, red marker, remote control, repellent, rubiks cube,
-    shampoo bottle, small clamp, soap dish, softball, sponge, spoon, stapler, sugar box, tennis ball, tuna can,
-    two color hammer, white ball, white sugar box, yellow bowl, yellow cup
+    battery, black marker, bleach cleanser, blue ball, blue moon, eggplant, gelatin box, hammer, kiwi, lime,
+    magic clean, mango, milk carton, mustard bottle, pink tea box, red backpack, red marker, remote control, repellent,
+    rubiks cube, shampoo bottle, small clamp, soap dish, softball, sponge, spoon, stapler, sugar box, tennis ball,
+    tuna can, two color hammer, white ball, white sugar box, yellow bowl, yellow cup
 """
 _UNSEEN = frozenset(name.strip() for name in _UNSEEN_NAMES.split(","))
 

@@ -35,13 +35,6 @@ def bands(colors: tuple[tuple[float, RGB], ...], *, height: int = SIZE) -> Pictu
     return np.repeat(np.array([c for _, c in colors], np.uint8)[rows][:, None], 8, axis=1)
 
 
-def fade(top: RGB, bottom: RGB) -> Picture:
-    """One colour running into another from the top down."""
-    share = np.linspace(0, 1, SIZE)[:, None]
-    rows = (1 - share) * np.array(top) + share * np.array(bottom)
-    return np.repeat(rows.round().astype(np.uint8)[:, None], 8, axis=1)
-
-
 def blush(base: RGB, flush: RGB, share: float = 0.35) -> Picture:
     """One side flushed with another colour, as ripe fruit."""
     around = np.linspace(-np.pi, np.pi, SIZE, endpoint=False)
