@@ -14,6 +14,7 @@ from fakes.things import ball, box, thing  # noqa: E402
 from thinkgrasp.perception.color import lab_from_rgb, name_colors  # noqa: E402
 from thinkgrasp.sim.objects import Texture, VisualPiece  # noqa: E402
 from thinkgrasp.sim.render import BACKGROUND, Rendering, render  # noqa: E402
+from thinkgrasp.sim.shadows import reached_by  # noqa: E402
 from thinkgrasp.sim.tabletop import pose  # noqa: E402
 from thinkgrasp.sim.textures import LINEAR_FROM_SRGB, sample  # noqa: E402
 from thinkgrasp.sim.views import CameraView, camera, default_view, look_at  # noqa: E402
@@ -103,6 +104,24 @@ def test_shadows_darken_the_table_beside_things_and_nothing_else(pair):
     assert darker.max() == 0
     table = lit.geoms == pair.model.geom("table").id
     assert 0.005 < (darker[table] < -30).mean() < 0.2
+
+
+@pytest.mark.parametrize("lamp", [(1.15, -0.75, 1.45), (0.3, 0.2, 0.5), (2.5, 0.0, 0.1)])
+def test_shadows_are_those_of_a_ray_to_every_point(lamp):
+    world = World([ball(0.04, (1, 0, 0)), box((0.08, 0.06, 0.12), (0, 0, 1))])  # with the arm
+    world.place(0, pose(0.45, -0.06, 0.04))
+    world.place(1, pose(0.55, 0.07, 0.06, 0.4))
+    mujoco.mj_forward(world.model, world.data)
+    view = default_view("l515", (320, 240))
+    seen = picture(world, view, shadows=False)
+    hit = seen.depth.ravel() > 0
+    points = view.eye + seen.depth.ravel()[hit, None].astype(float) * view.rays[hit]
+    everything = np.ones(len(points), bool)
+    few, every = (
+        reached_by(np.array(lamp), world.model, world.data, points, everything, cull=cull) for cull in (True, False)
+    )
+    assert 0.005 < (every == 0).mean() < 0.9
+    assert np.array_equal(few, every)
 
 
 @pytest.mark.parametrize(

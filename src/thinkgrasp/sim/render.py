@@ -18,6 +18,7 @@ from scipy import ndimage
 
 from thinkgrasp.sim.objects import VisualPiece
 from thinkgrasp.sim.rays import ROBOT_GROUP, STATIC_GROUP, THREADS, cast
+from thinkgrasp.sim.shadows import cosine_to, reached_by, soften
 from thinkgrasp.sim.textures import LINEAR_FROM_SRGB, sample
 from thinkgrasp.sim.views import CameraView
 
@@ -29,9 +30,6 @@ FAR_M = 6.0
 BACKGROUND = (0.60, 0.62, 0.64)
 """sRGB 0..1 where nothing is hit."""
 _ROBOT_GLOSS, _STATIC_GLOSS = 0.35, 0.08
-_SHADOW_BIAS_M = 0.0015
-_PENUMBRA = 0.004
-"""Blur of shadows on the table, as a share of the image's height."""
 _GRAIN_PERIOD_M, _GRAIN_TEXELS = 0.512, 256
 
 
@@ -118,15 +116,18 @@ def shade(
 ) -> Rendering:
     """Give surfaces their colours and their light; arguments as in `render`."""
     light = light or Light()
+    c = view.intrinsics
     index = np.flatnonzero((seen.geoms >= 0) & (seen.depth > 0) & (seen.depth <= FAR_M))
     geoms, rays, distance = seen.geoms[index], view.rays[index], seen.depth[index]
     points = view.eye + distance[:, None] * rays
     normals = seen.normals[index]
     normals[np.einsum("ni,ni->n", normals, rays) > 0] *= -1
-    facing, reached = _lamp(model, data, points, normals, light, shadows=shadows, threads=threads)
-    c = view.intrinsics
+    lamp = np.asarray(light.position, np.float64)
+    facing = cosine_to(lamp, points, normals)
     if shadows:
-        _soften(reached, model.geom_group[geoms] == STATIC_GROUP, index, (c.height, c.width))
+        reached = reached_by(lamp, model, data, points, facing > 0, threads=threads)
+        soften(reached, model.geom_group[geoms] == STATIC_GROUP, index, (c.height, c.width))
+        facing *= reached
     albedo, gloss = _materials(model, data, view, visuals, geoms, points, normals, distance)
 
     color = np.empty((c.height, c.width, 3), np.uint8)
@@ -134,47 +135,11 @@ def shade(
     depth = np.zeros((c.height, c.width), np.float32)
     ids = np.full((c.height, c.width), -1, np.int32)
     towards = np.zeros((c.height, c.width, 3), np.float32)
-    color.reshape(-1, 3)[index] = _encode(_radiance(view, light, points, normals, facing * reached, albedo, gloss))
+    color.reshape(-1, 3)[index] = _encode(_radiance(view, light, points, normals, facing, albedo, gloss))
     depth.reshape(-1)[index] = distance
     ids.reshape(-1)[index] = geoms
     towards.reshape(-1, 3)[index] = normals
     return Rendering(color, depth, ids, towards)
-
-
-def _lamp(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    points: Float,
-    normals: Float,
-    light: Light,
-    *,
-    shadows: bool,
-    threads: int,
-) -> tuple[Array, Array]:
-    """Cosine of the lamp's light on each point (N,), and whether it gets there (N,): 1, or 0 in shadow."""
-    lamp = np.asarray(light.position)
-    beams = points - lamp
-    length = np.sqrt(np.einsum("ni,ni->n", beams, beams))
-    cosine = np.maximum(-np.einsum("ni,ni->n", beams, normals) / length, 0)
-    reached = np.ones(len(points), np.float32)
-    if shadows:
-        facing = np.flatnonzero(cosine > 0)
-        hits = cast(model, data, lamp, beams[facing], threads=threads)
-        blocked = (hits.geoms >= 0) & ((1 - hits.distances) * length[facing] > _SHADOW_BIAS_M)
-        reached[facing[blocked]] = 0
-    return cosine.astype(np.float32), reached
-
-
-def _soften(reached: Array, static: NDArray[np.bool_], index: NDArray[np.intp], size: tuple[int, int]) -> None:
-    """Blur, in place, the edges of the shadows on static surfaces, without looking at other pixels."""
-    on = index[static]
-    blurred = []
-    for values in (reached[static], 1):
-        image = np.zeros(size, np.float32)
-        image.reshape(-1)[on] = values
-        image = ndimage.gaussian_filter(image, _PENUMBRA * size[0], truncate=2.0, mode="constant")
-        blurred.append(image.reshape(-1)[on])
-    reached[static] = blurred[0] / blurred[1]
 
 
 def _materials(
