@@ -96,6 +96,18 @@ def test_the_opening_counts(world: PlanningWorld) -> None:
     assert world.collides(q, STROKE_M).any()
 
 
+def test_the_arm_is_no_obstacle_to_itself(world: PlanningWorld) -> None:
+    forearm = ur5e.link_frames(HOME)[1:3, :3, 3]
+    on_it = forearm[0] + np.random.default_rng(0).uniform(0, 1, (4000, 1)) * (forearm[1] - forearm[0])
+    on_it += np.random.default_rng(1).normal(0, 0.015, on_it.shape)
+    beside = block(0.4, -0.1, 0.12)
+    world.see(np.concatenate([on_it, beside]))
+    assert world.collides(HOME[None], STROKE_M).any()
+    world.see(np.concatenate([on_it, beside]), arm_at=HOME)
+    assert not world.collides(HOME[None], STROKE_M).any()
+    assert world.collides(reach_down(0.4, -0.1, 0.03)[None], STROKE_M).any()
+
+
 def test_what_is_carried_collides_until_it_is_let_go(world: PlanningWorld) -> None:
     q = reach_down(0.5, 0.0, 0.10)[None]
     hanging = np.eye(4)

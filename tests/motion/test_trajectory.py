@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thinkgrasp.errors import InputError
-from thinkgrasp.motion.trajectory import PERIOD_S, Trajectory, time_path
+from thinkgrasp.motion.trajectory import CORNER_S, PERIOD_S, Trajectory, time_path
 from thinkgrasp.motion.ur5e import LIMITS
 
 
@@ -60,7 +60,8 @@ def test_stays_near_the_path(path: np.ndarray) -> None:
     pieces = [a + (b - a) * np.linspace(0, 1, 400)[:, None] for a, b in itertools.pairwise(path)]
     dense = np.concatenate(pieces)
     away = [np.abs(dense - q).max(axis=1).min() for q in time_path(path, LIMITS).positions[::5]]
-    assert max(away) < 0.01
+    acceleration, jerk = LIMITS.acceleration[0], LIMITS.jerk[0]
+    assert max(away) < acceleration * (CORNER_S**2 / 8 + (acceleration / jerk) ** 2)
 
 
 def test_a_long_straight_move_takes_little_more_than_the_trapezoid() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.motion import ur5e
+from thinkgrasp.motion.cell import HOME_RAD
 from thinkgrasp.motion.collision import CarriedBox, Phase, PlanningWorld
 from thinkgrasp.motion.paths import PathBudget, PathPlanner, PathQuery
 from thinkgrasp.motion.rrt_connect import rrt_connect
@@ -58,6 +59,7 @@ class ArmMotion:
             tried.
         lift_m: Length of the straight way up.
         straight_speed: Share of the velocity limit on straight moves.
+        seen_at: (6,) where the arm is when the camera looks, so that it is no obstacle to itself [rad].
         seed: Of every plan; the same question gets the same answer.
 
     Raises:
@@ -73,6 +75,7 @@ class ArmMotion:
         standoff_m: float = 0.10,
         lift_m: float = 0.15,
         straight_speed: float = 0.5,
+        seen_at: Sequence[float] = HOME_RAD,
         seed: int = 0,
     ) -> None:
         if not (0 < standoff_m <= 0.3 and 0 < lift_m <= 0.5 and 0 < straight_speed <= 1):
@@ -86,6 +89,7 @@ class ArmMotion:
         self.standoff_m = standoff_m
         self.lift_m = lift_m
         self.straight_speed = straight_speed
+        self.seen_at = np.array(seen_at, np.float64)
         self.seed = seed
 
     def plan_grasp(
@@ -103,7 +107,7 @@ class ArmMotion:
             The motions, or the reason why there are none.
         """
         self.world.carry(None)
-        self.world.see(cloud_m)
+        self.world.see(cloud_m, self.seen_at)
         reason: NoMotion = "no inverse kinematics"
         for standoff_m in self._standoffs_m:
             ways = straight_grasps(T_world_tcp[None], np.array([opening_m]), standoff_m, self.lift_m, q_start)
@@ -146,7 +150,7 @@ class ArmMotion:
             (N,) True where it is so.
         """
         self.world.carry(None)
-        self.world.see(cloud_m)
+        self.world.see(cloud_m, self.seen_at)
         found = np.zeros(len(T_world_tcp), bool)
         for first in range(0, len(found), _BATCH):
             T, opening = T_world_tcp[first : first + _BATCH], opening_m[first : first + _BATCH]
@@ -177,7 +181,7 @@ class ArmMotion:
             carried: What the gripper holds.
         """
         self.world.carry(carried)
-        self.world.see(cloud_m)
+        self.world.see(cloud_m, self.seen_at)
         path = self._path(q_start, np.reshape(q_goal, (-1, 6)), opening_m)
         return "no path" if path is None else time_path(path, ur5e.LIMITS)
 

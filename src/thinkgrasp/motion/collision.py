@@ -28,6 +28,8 @@ object: what stands still without clearance, and the cloud by the arm alone, not
 grasp checks look at the gripper against every single point."""
 
 _ARM, _GRIPPER, _STATIC, _CLOUD, _CARRIED = 1, 2, 4, 8, 16
+_OWN_M = 0.03
+"""Points nearer to the arm than this are its own."""
 _CLOUD_NAME, _CARRIED_NAME = "cloud", "carried"
 _GRIPPER_BODIES = ("gripper", "right_crank", "right_finger", "left_crank", "left_finger")
 _CLEAR_OF_CARRIED = ("shoulder_pan_link", "shoulder_lift_link", "elbow_link")
@@ -67,10 +69,34 @@ class PlanningWorld:
         self._phase: Phase | None = None
         self._compile(None)
 
-    def see(self, points_m: NDArray[np.floating]) -> None:
-        """Replace the cloud by points (P, 3) in the world [m]; leave out those of what is carried."""
+    def see(self, points_m: NDArray[np.floating], arm_at: NDArray[np.floating] | None = None) -> None:
+        """Replace the cloud.
+
+        Args:
+            points_m: (P, 3) in the world [m], without those of what is carried.
+            arm_at: (6,) where the arm was when they were seen [rad]: what they show of the arm is left out.
+        """
         self._heights = self.map.heights(points_m)
+        if arm_at is not None:
+            index, tops = self.map.tops(self._heights)
+            self._heights.ravel()[index[self._on_arm(tops, arm_at)]] = 0.0
         self._model.hfield_data[:] = self._heights.ravel()
+
+    def _on_arm(self, points_m: Float, q: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Return (P,) True for points within _OWN_M of the arm or its gripper."""
+        model, data = self._model, self._data
+        data.qpos[self._arm_at], data.qpos[self._gripper_at] = q, 0.0
+        mujoco.mj_kinematics(model, data)
+        near = np.zeros(len(points_m), bool)
+        for geom in self._robot_geoms:
+            local = (points_m - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3)
+            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
+                radius, half, _ = model.geom_size[geom]
+                local[:, 2] -= np.clip(local[:, 2], -half, half)
+                near |= np.linalg.norm(local, axis=1) < radius + _OWN_M
+            else:
+                near |= (np.abs(local) < model.geom_size[geom] + _OWN_M).all(axis=1)
+        return near
 
     def carry(self, box: CarriedBox | None) -> None:
         """Attach a box to the gripper, or take it off."""
@@ -148,6 +174,7 @@ class PlanningWorld:
         self._gripper_signs = np.array([1.0 if "crank" in name else -1.0 for name in GRIPPER_JOINTS])
         bodies = [model.body(name).id for name in _GRIPPER_BODIES]
         self._gripper_geoms = np.flatnonzero(np.isin(model.geom_bodyid, bodies))
+        self._robot_geoms = np.flatnonzero((model.geom_contype & (_ARM | _GRIPPER)) != 0)
         self._static_geoms = np.array([model.geom(box.name).id for box in self.statics], np.intp)
         self._phase = None
 

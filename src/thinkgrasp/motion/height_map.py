@@ -29,7 +29,8 @@ class HeightMap:
     @property
     def shape(self) -> tuple[int, int]:
         """Vertices along y and x."""
-        return tuple(round((b - a) / self.spacing_m) + 1 for a, b in (self.y_m, self.x_m))  # type: ignore[return-value]
+        (x0, x1), (y0, y1) = self.x_m, self.y_m
+        return round((y1 - y0) / self.spacing_m) + 1, round((x1 - x0) / self.spacing_m) + 1
 
     def heights(self, points_m: NDArray[np.floating]) -> Float:
         """Return the heights (shape) [m] of a surface that no point rises above, but for single outliers.
@@ -57,3 +58,10 @@ class HeightMap:
         heights = np.zeros(rows * columns)
         heights[vertex[second]] = z[second]
         return ndimage.maximum_filter(heights.reshape(rows, columns), size=3)
+
+    def tops(self, heights: Float) -> tuple[NDArray[np.intp], Float]:
+        """Return the flat index (K,) of all vertices above the table, and their positions (K, 3) in the world [m]."""
+        index = np.flatnonzero(heights)
+        row, column = np.divmod(index, self.shape[1])
+        x, y = self.x_m[0] + column * self.spacing_m, self.y_m[0] + row * self.spacing_m
+        return index, np.stack([x, y, heights.ravel()[index]], axis=1)

@@ -84,7 +84,7 @@ class PathBudget:
 class PathPlanner(Protocol):
     """Any planner here: a function from a query and a random generator to a path."""
 
-    def __call__(self, query: PathQuery, rng: np.random.Generator, budget: PathBudget = ...) -> Float | None:
+    def __call__(self, query: PathQuery, rng: np.random.Generator, budget: PathBudget | None = ...) -> Float | None:
         """Return waypoints (W, n) [rad] from the start to a goal, the edges between them free; None if not found."""
         ...
 
