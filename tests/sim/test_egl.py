@@ -12,6 +12,7 @@ pytest.importorskip("trimesh", reason="needs thinkgrasp[sim]")
 from fakes.things import ball, box  # noqa: E402
 from scipy import ndimage  # noqa: E402
 
+from thinkgrasp.cameras.simulated import SimulatedCamera  # noqa: E402
 from thinkgrasp.sim import egl  # noqa: E402
 from thinkgrasp.sim.render import render  # noqa: E402
 from thinkgrasp.sim.tabletop import pose  # noqa: E402
@@ -38,6 +39,8 @@ def test_the_rasteriser_sees_the_same_geometry():
             assert np.percentile(error, 99.9) < 2e-3
             difference = np.abs(cast.color.astype(int) - drawn.color.astype(int)).max(axis=2)
             assert np.median(difference) <= 2
+        frame = SimulatedCamera(world, view, noise=None, renderer=renderer).read()
+        assert np.array_equal(frame.depth, drawn.depth)
 
 
 WITHOUT_OPENGL = """

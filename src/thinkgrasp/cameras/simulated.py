@@ -9,6 +9,7 @@ from thinkgrasp.errors import InputError
 from thinkgrasp.geometry import apply, deproject
 from thinkgrasp.motion.cell import WORKSPACE_M
 from thinkgrasp.sim.depth_noise import noise_model
+from thinkgrasp.sim.egl import EglRenderer
 from thinkgrasp.sim.render import render
 from thinkgrasp.sim.views import CameraView, default_view
 from thinkgrasp.sim.world import World
@@ -35,6 +36,7 @@ class SimulatedCamera:
         noise: Name of a sensor model, or None for exact depth; see `thinkgrasp.sim.depth_noise`.
         seed: Same seed and same number of reads, same noise.
         workspace_m: (2, 3) lowest and highest corner of the box, world [m], where grasping is allowed.
+        renderer: Draws in OpenGL; None = ray casting on the CPU, bit-equal on every run.
 
     Raises:
         ConfigError: No such noise model.
@@ -49,9 +51,11 @@ class SimulatedCamera:
         noise: str | None = "l515",
         seed: int = 0,
         workspace_m: NDArray[np.float64] | None = None,
+        renderer: EglRenderer | None = None,
     ) -> None:
         self.view = view or default_view()
         self._world = world
+        self._renderer = renderer
         self._noise = noise_model(noise)
         self._seed = seed
         self._reads = 0
@@ -63,7 +67,11 @@ class SimulatedCamera:
         """Return the next frame; the mask of the workspace comes from the depth as measured."""
         rng = np.random.default_rng([self._seed, self._reads])
         self._reads += 1
-        seen = render(self._world.model, self._world.data, self.view, self._world.visuals)
+        world = self._world
+        if self._renderer is None:
+            seen = render(world.model, world.data, self.view, world.visuals)
+        else:
+            seen = self._renderer.render(world.data, self.view, world.visuals)
         depth = seen.depth if self._noise is None else self._noise.apply(seen.depth, seen.cosine(self.view), rng)
         return Frame(seen.color, depth, self.view.intrinsics, self.view.T_world_camera.copy(), self._inside(depth))
 
