@@ -6,6 +6,7 @@ import difflib
 import re
 import tomllib
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 from thinkgrasp.errors import InputError
@@ -26,6 +27,7 @@ class Description:
     uses: tuple[str, ...]
 
 
+@lru_cache(maxsize=1024)
 def known_kind(name: str) -> KnownObject | None:
     """Return the kind in the household knowledge that a name ends in, by its name or a synonym, or None.
 

@@ -1,10 +1,14 @@
 """Physics of a pile: objects fall one after another, what leaves the workspace is put back."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's module is compiled and has no stubs.
+
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
 
+import mujoco
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
@@ -22,11 +26,13 @@ CLEARANCE_M = 0.01
 FALL_M = 0.06
 """Least height of a fall."""
 SETTLE_S = 2.0
+HOLD_S, HOLD_M = 0.4, 0.003
+"""A pile that is set up anew moves by no more than this in this time."""
 FENCE_M = 0.03
 """Where things that move are stopped, inside the workspace's edge."""
 FENCE_PERIOD_S = 0.03
 STOPPED_M_S = 0.02
-PUT_BACK_ROUNDS = 5
+PUT_BACK_ROUNDS = 8
 PUT_BACK_TRIES = 100
 INNER_M = 0.07
 """Things are dropped at least this far inside the workspace's edge."""
@@ -67,7 +73,7 @@ class Pile:
         for _ in range(PUT_BACK_ROUNDS):
             still = self._pass(SETTLE_S)
             outside = self.outside()
-            if still and not outside:
+            if still and not outside and self._holds():
                 return True
             for index in outside:
                 self.world.park(index)
@@ -85,6 +91,29 @@ class Pile:
             if self.world.at_rest():
                 return True
         return False
+
+    def _holds(self) -> bool:
+        """Whether the pile stays as it lies when it is set up anew: what sleeps in an unstable place does not."""
+        poses = self.world.poses()
+        before = self._centers()
+        self._set_up(poses)
+        self.world.step(round(HOLD_S / TIMESTEP_S))
+        holds = bool(np.linalg.norm(self._centers() - before, axis=1).max() < HOLD_M)
+        if holds:
+            self._set_up(poses)
+        return holds
+
+    def _centers(self) -> Float:
+        return np.array([self.world.center(index) for index in self.dropped])
+
+    def _set_up(self, poses: Float) -> None:
+        mujoco.mj_resetData(self.world.model, self.world.data)
+        for index in range(len(poses)):
+            if index in self.dropped:
+                self.world.place(index, poses[index])
+            else:
+                self.world.park(index)
+        mujoco.mj_forward(self.world.model, self.world.data)
 
     def _leaves(self, index: int) -> bool:
         beyond = np.abs(self.world.center(index)[:2] - _MIDDLE) > _FENCE
