@@ -12,6 +12,11 @@ from numpy.typing import NDArray
 
 from thinkgrasp.types import Array, BoxXYXY, Grasps, Mask
 
+FINGERS_M = 0.04
+"""Length of the fingers that a thing may lie between."""
+SAME_M, SAME_DEG = 0.015, 30.0
+"""Grasps closer than this in place and orientation are one."""
+
 
 def cell_box(box_xyxy: BoxXYXY, grid: int, cell: int) -> tuple[float, float, float, float]:
     """Return the sub-box of a cell, numbered row by row from 1 at the top-left to grid*grid.
@@ -58,7 +63,11 @@ def preferred_point(points: Array, mask: Mask, box_xyxy: BoxXYXY, grid: int, cel
 
 
 def rank_grasps(grasps: Grasps, point: NDArray[np.float64], n_nearest: int = 10) -> NDArray[np.intp]:
-    """Order the `n_nearest` grasps nearest to `point` (3,) [m] by score, best first.
+    """Order the `n_nearest` distinct grasps nearest to `point` (3,) [m] by score, best first.
+
+    Of near-duplicates only the best counts, as after non-maximum suppression. A grasp is near to what its fingers reach
+    around, so distance is measured to the line from the TCP back along the approach over FINGERS_M: a deep grasp is as
+    near to a point of the surface as a shallow one.
 
     Ties in distance keep the lower index, ties in score the nearer grasp, so the result does not depend on chance.
 
@@ -67,6 +76,29 @@ def rank_grasps(grasps: Grasps, point: NDArray[np.float64], n_nearest: int = 10)
     """
     if n_nearest < 1:
         raise ValueError(f"n_nearest must be at least 1, got {n_nearest}")
-    distance = np.linalg.norm(grasps.positions.astype(np.float64) - point, axis=1)
-    nearest = np.argsort(distance, kind="stable")[:n_nearest]
+    kept = distinct_grasps(grasps)
+    back = point - grasps.positions[kept].astype(np.float64)
+    approach = grasps.rotations[kept, :, 2].astype(np.float64)
+    along = np.clip(np.einsum("ni,ni->n", back, approach), -FINGERS_M, 0)
+    distance = np.linalg.norm(back - along[:, None] * approach, axis=1)
+    nearest = kept[np.argsort(distance, kind="stable")[:n_nearest]]
     return nearest[np.argsort(-grasps.scores[nearest], kind="stable")]
+
+
+def distinct_grasps(grasps: Grasps) -> NDArray[np.intp]:
+    """Return the indices, ascending, of grasps that no better one resembles in place and orientation.
+
+    The closing direction has no sign: a two-finger grasp turned by half a turn is the same.
+    """
+    order = np.argsort(-grasps.scores, kind="stable")
+    position = grasps.positions[order].astype(np.float64)
+    closing, approach = (grasps.rotations[order, :, axis].astype(np.float64) for axis in (0, 2))
+    cos = np.cos(np.deg2rad(SAME_DEG))
+    suppressed = np.zeros(len(order), np.bool_)
+    for i in range(len(order)):
+        if not suppressed[i]:
+            rest = slice(i + 1, None)
+            near = ((position[rest] - position[i]) ** 2).sum(axis=1) < SAME_M**2
+            near &= (approach[rest] @ approach[i] > cos) & (np.abs(closing[rest] @ closing[i]) > cos)
+            suppressed[rest] |= near
+    return np.sort(order[~suppressed])

@@ -5,7 +5,7 @@ import pytest
 
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.motion import ur5e
-from thinkgrasp.motion.cell import DROP_RAD, HOME_RAD
+from thinkgrasp.motion.cell import HOME_RAD
 
 pytest.importorskip("mujoco", reason="needs the sim extra")
 
@@ -13,6 +13,9 @@ from thinkgrasp.motion.arm import ArmMotion, GraspMotion
 from thinkgrasp.motion.collision import CarriedBox
 from thinkgrasp.motion.robotiq_2f85 import flange_to_tip
 from thinkgrasp.motion.trajectory import Trajectory
+
+DROP_RAD = (-2.39, -0.95, 0.95, -1.57, -1.57, -2.39)
+"""Over the middle of the bin."""
 
 HOME, DROP = np.array(HOME_RAD), np.array(DROP_RAD)
 NOTHING = np.zeros((0, 3))

@@ -5,10 +5,13 @@ import pytest
 
 from thinkgrasp.motion import ur5e
 from thinkgrasp.motion.arm_spec import add_arm
-from thinkgrasp.motion.cell import DROP_RAD, HOME_RAD, STATICS, StaticBox
+from thinkgrasp.motion.cell import HOME_RAD, STATICS, StaticBox
 from thinkgrasp.motion.collision import CarriedBox, PlanningWorld
 from thinkgrasp.motion.robotiq_2f85 import STROKE_M
 from thinkgrasp.motion.straight import flange_poses
+
+DROP_RAD = (-2.39, -0.95, 0.95, -1.57, -1.57, -2.39)
+"""Over the middle of the bin."""
 
 mujoco = pytest.importorskip("mujoco", reason="needs the sim extra")
 

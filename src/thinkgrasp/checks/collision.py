@@ -36,17 +36,27 @@ class CollisionCheck:
             centre of an occupied voxel can lie in a body either.
         standoff_m: Length of the straight approach.
         voxel_m: Spacing of the thinned cloud.
+        support_noise_m: Points of the support that lie no higher above its plane than this do not count: noise, which
+            would keep fingers from all that is flat. The table clearance check looks after the support itself.
 
     Raises:
         ConfigError: A length is out of range.
     """
 
-    def __init__(self, *, margin_m: float = 0.003, standoff_m: float = 0.10, voxel_m: float = 0.004) -> None:
-        if not (0 <= margin_m < 0.05 and 0 <= standoff_m < 1 and 0 < voxel_m < 0.05):
+    def __init__(
+        self,
+        *,
+        margin_m: float = 0.003,
+        standoff_m: float = 0.10,
+        voxel_m: float = 0.004,
+        support_noise_m: float = 0.0,
+    ) -> None:
+        if not (0 <= margin_m < 0.05 and 0 <= standoff_m < 1 and 0 < voxel_m < 0.05 and 0 <= support_noise_m < 0.02):
             raise ConfigError(
-                "collision check: need 0 <= margin_m < 0.05, 0 <= standoff_m < 1, 0 < voxel_m < 0.05; "
-                f"got {margin_m}, {standoff_m}, {voxel_m}"
+                "collision check: need 0 <= margin_m < 0.05, 0 <= standoff_m < 1, 0 < voxel_m < 0.05, "
+                f"0 <= support_noise_m < 0.02; got {margin_m}, {standoff_m}, {voxel_m}, {support_noise_m}"
             )
+        self.support_noise_m = support_noise_m
         self.margin_m = margin_m
         self.standoff_m = standoff_m
         self.voxel_m = voxel_m
@@ -60,7 +70,7 @@ class CollisionCheck:
         boxes[:, :, 0] -= self.margin_m
         boxes[:, :, 1] += self.margin_m
         reach = float(np.linalg.norm(np.abs(boxes).max(axis=(1, 2)), axis=1).max())
-        points = near_points(scene.points, grasps, reach)
+        points = near_points(self._counted(scene), grasps, reach)
         points = self._above_lowest_body(points, scene, grasps, boxes)
         if len(points) == 0:
             return keep
@@ -76,6 +86,13 @@ class CollisionCheck:
             alive = np.flatnonzero(keep)
             keep[alive[full.hit(grasps[alive], boxes[alive, body, 0], boxes[alive, body, 1])]] = False
         return keep
+
+    def _counted(self, scene: Scene) -> NDArray[np.float32]:
+        """The cloud (H, W, 3), NaN where the support's noise is."""
+        if self.support_noise_m == 0 or scene.support is None:
+            return scene.points
+        noise = scene.support.inliers & (scene.support.height(scene.points) <= self.support_noise_m)
+        return np.where(noise[..., None], np.float32(np.nan), scene.points)
 
     @staticmethod
     def _above_lowest_body(

@@ -4,6 +4,9 @@ Bodies sit on the Denavit-Hartenberg frames of `thinkgrasp.motion.ur5e`, links a
 and base frame coincide. Joints in qpos order: ARM_JOINTS, then GRIPPER_JOINTS.
 """
 
+# MuJoCo's bindings carry no types.
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 import mujoco
@@ -38,9 +41,7 @@ def add_arm(spec: mujoco.MjSpec) -> None:
         _add_link(body, joint)
     _add_gripper(body.add_body(name="gripper", pos=(0, 0, DH[5][1])))
     spec.add_exclude(bodyname1="shoulder_pan_link", bodyname2="world")
-    for first, second in (("wrist_3", "wrist_1"), ("wrist_2", "forearm")):
-        if second != "forearm":
-            spec.add_exclude(bodyname1=f"{first}_link", bodyname2=f"{second}_link")
+    spec.add_exclude(bodyname1="wrist_3_link", bodyname2="wrist_1_link")
     for side in ("right", "left"):
         spec.add_exclude(bodyname1="gripper", bodyname2=f"{side}_finger")
         _couple(spec, f"{side}_finger", f"{side}_crank", -1.0)
@@ -80,13 +81,13 @@ def _add_gripper(palm: mujoco.MjsBody) -> None:
     _box(palm, (0, 0, 0.036), (0.038, 0.036, 0.036), 0.6, _DARK)
     for side, s in (("right", 1), ("left", -1)):
         pivot = (s * linkage.PIVOT_X_M, 0, linkage.PIVOT_Z_M)
-        crank = palm.add_body(name=f"{side}_crank", pos=pivot)
+        crank = palm.add_body(name=f"{side}_crank", pos=pivot, gravcomp=1)
         _hinge(crank, f"{side}_crank", s, (0, linkage.CLOSED_RAD + 0.02))
         end = (s * linkage.CRANK_X_M, 0, linkage.CRANK_Z_M)
         _capsule(crank, (0, 0, 0.004), end, 0.008, _GREY, mass=0.05)
-        finger = crank.add_body(name=f"{side}_finger", pos=end)
+        finger = crank.add_body(name=f"{side}_finger", pos=end, gravcomp=1)
         _hinge(finger, f"{side}_finger", s, (-linkage.CLOSED_RAD - 0.1, 0.1))
-        thickness, breadth, length = linkage.PAD_HALF_M
+        thickness, _, length = linkage.PAD_HALF_M
         pad_x, pad_z = linkage.PAD_X_M, linkage.PAD_Z_M
         back_x = pad_x + thickness + 0.0035
         _box(finger, (s * back_x, 0, pad_z - 0.008), (0.0035, 0.010, length + 0.006), 0.04, _DARK)
@@ -95,8 +96,6 @@ def _add_gripper(palm: mujoco.MjsBody) -> None:
         pad.name = f"{side}_pad"
         pad.friction, pad.condim = (0.2, 0.01, 0.0001), 4
         pad.solref, pad.solmix = (0.004, 1.0), 1000.0
-    for part in (palm, *palm.bodies):
-        part.gravcomp = 1
 
 
 def _hinge(body: mujoco.MjsBody, name: str, side: int, limits: tuple[float, float]) -> None:

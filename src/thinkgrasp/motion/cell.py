@@ -61,5 +61,3 @@ MOUNT = (
 STATICS: tuple[StaticBox, ...] = (TABLE, *BIN.walls, *MOUNT)
 HOME_RAD = (-2.28, -1.39, 1.03, -1.21, -1.57, -2.28)
 """Joint angles between attempts: over the bin's near edge, out of the camera's view."""
-DROP_RAD = (-2.39, -0.95, 0.95, -1.57, -1.57, -2.39)
-"""Joint angles over the middle of the bin, where what is held is let go."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from thinkgrasp.errors import InputError
 from thinkgrasp.geometry import apply, deproject, invert, make_transform
 from thinkgrasp.motion.arm import ArmMotion
-from thinkgrasp.motion.cell import DROP_RAD, HOME_RAD
+from thinkgrasp.motion.cell import BIN, HOME_RAD
 from thinkgrasp.motion.robotiq_2f85 import STROKE_M, tip_reach
 from thinkgrasp.motion.trajectory import Trajectory
 from thinkgrasp.sim.world import GRIP_FORCE_N, TIMESTEP_S, World
@@ -29,11 +29,17 @@ STOP_FORCE_N = 90.0
 """A motion that presses harder than this on anything but what it holds is stopped."""
 CLEARANCE_M = 0.007
 """Room that grasps leave between an open finger and the thing."""
+FURTHER_M = 0.005
+"""By how much a thing may be thinner than the grasp takes it for."""
 CLOSING_M_S = 0.15
 SLIP_M = 0.03
 """What is held may shift by this much in the gripper between two verifications."""
 TABLE_GAP_M = 0.001
+TAKEN_M = 0.06
+"""Points this near beside the fingers are what was taken, and leave with it."""
 WATCH_S = 0.1
+_YAWS = np.arange(12) * np.pi / 6
+_LOWEST_DROP_M, _HIGHEST_DROP_M = 0.22, 0.40
 
 
 @dataclass(frozen=True)
@@ -111,7 +117,7 @@ class SimulatedRobot:
         self.truth = Truth(grasped, None)
         before = None if grasped is None else self._in_hand(grasped)
         try:
-            self._follow(plan.lift)
+            self._follow(plan.lift, held=grasped)
         except Stopped:
             self._release()
             self._back_out(plan.lift.end)
@@ -120,17 +126,21 @@ class SimulatedRobot:
             self._release()
             self._go_home(cloud)
             return Outcome(False, "missed" if grasped is None else "slipped")
-        return self._deliver(grasped, cloud)
+        beside = np.linalg.norm(cloud[:, :2] - T_world_tcp[:2, 3], axis=1) > TAKEN_M
+        return self._deliver(grasped, cloud[beside], float(T_world_tcp[2, 3]))
 
-    def _deliver(self, held: int, cloud: Float) -> Outcome:
+    def _deliver(self, held: int, cloud: Float, taken_at_z: float) -> Outcome:
+        """Carry what is held to the bin, high enough for all that may hang below the fingers, and let it go."""
         before = self._in_hand(held)
-        way = self.motion.plan_to(self.world.joints(), np.array(DROP_RAD), self.world.opening(), cloud)
+        poses = np.stack([_over_bin(yaw, taken_at_z + BIN.height_m + 0.03) for yaw in _YAWS])
+        opening = self.world.opening()
+        way = self.motion.plan_to_poses(self.world.joints(), poses, opening, cloud)
         if isinstance(way, str):
             self._release()
             self._go_home(cloud)
             return Outcome(False, "unreachable")
         try:
-            self._follow(way)
+            self._follow(way, held=held)
         except Stopped:
             self._release()
             self._back_out(np.array(HOME_RAD))
@@ -160,17 +170,17 @@ class SimulatedRobot:
     def _retreat_for_arc(self, T_world_tcp: Float, opening: float) -> float:
         """How far the flange has to stay back [m], as the tips reach farther the more they close.
 
-        The grasp is meant for tips in contact; where the fingers may close farther than that, they must still not be
-        pushed into the table.
+        The grasp is meant for tips in contact; where the thing is a little thinner than thought, they must still not
+        be pushed into the table.
         """
         contact = max(opening - 2 * CLEARANCE_M, 0.0)
         reach = float(tip_reach(contact) - tip_reach(opening))
-        further = float(tip_reach(0.0) - tip_reach(contact))
+        further = float(tip_reach(max(contact - FURTHER_M, 0.0)) - tip_reach(contact))
         down = -float(T_world_tcp[2, 2])
         into_table = further * max(down, 0.0) - (float(T_world_tcp[2, 3]) - TABLE_GAP_M)
         return reach + max(into_table, 0.0)
 
-    def _follow(self, trajectory: Trajectory, *, guarded: bool = True) -> None:
+    def _follow(self, trajectory: Trajectory, *, held: int | None = None, guarded: bool = True) -> None:
         """Move along a trajectory; raise Stopped where the robot presses on something."""
         times = np.arange(1, int(np.ceil(trajectory.duration_s / TICK_S)) + 1) * TICK_S
         positions = np.array([trajectory.sample(min(t, trajectory.duration_s)) for t in times])
@@ -178,7 +188,7 @@ class SimulatedRobot:
         for position, velocity in zip(positions, velocities, strict=True):
             self.world.command(position, velocity)
             self._tick()
-            if guarded and self.world.collision_force() > STOP_FORCE_N:
+            if guarded and self.world.collision_force(held) > STOP_FORCE_N:
                 self.world.command(self.world.joints(), np.zeros(6))
                 self._wait(0.05)
                 raise Stopped
@@ -238,6 +248,14 @@ class SimulatedRobot:
         if self.watch is not None and self.world.time_s - self._watched_s >= WATCH_S:
             self._watched_s = self.world.time_s
             self.watch()
+
+
+def _over_bin(yaw: float, z_m: float) -> Float:
+    """Fingertips (4, 4) over the middle of the bin, pointing down."""
+    x, y = np.mean(BIN.x_m), np.mean(BIN.y_m)
+    c, s = np.cos(yaw), np.sin(yaw)
+    R = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
+    return make_transform(R, [x, y, np.clip(z_m, _LOWEST_DROP_M, _HIGHEST_DROP_M)])
 
 
 def perceived_cloud(frame: Frame) -> Float:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thinkgrasp.config import PipelineConfig, StageConfig, override
+from thinkgrasp.config import PipelineConfig, StageConfig, make_pipeline, override
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.interfaces import ScenePerception
 from thinkgrasp.language.grounding import Grounding, Match
@@ -26,6 +26,9 @@ from thinkgrasp.sim.truth import true_labels
 from thinkgrasp.sim.views import CameraView
 from thinkgrasp.sim.world import World
 from thinkgrasp.types import Frame, Plan, Scene, Segmentation
+
+ORACLE = "oracle"
+"""The preset's name."""
 
 
 class TruthPerception(ScenePerception):
@@ -94,14 +97,11 @@ class TruthSegmenter:
 
     def segment(self, scene: Scene, plan: Plan) -> Segmentation:
         """Return the mask of the planned mark."""
-        found = self._segmenter.segment(scene, replace(plan, role="obstruction"))
-        return found
+        return self._segmenter.segment(scene, replace(plan, role="obstruction"))
 
 
 def oracle_pipeline(config: PipelineConfig, world: World, goals: Collection[int]) -> Pipeline:
     """Return the pipeline of a configuration with perception, planner and segmenter replaced by the truth."""
-    from thinkgrasp.config import make_pipeline
-
     pipeline = make_pipeline(override(config, "scene", StageConfig("geometric")))
     perception = TruthPerception(world)
     pipeline.scene = perception

@@ -23,6 +23,9 @@ SIZES = ((640, 480), (320, 240), (224, 224))
 DEFAULT_EYE = (0.86, 0.0, 0.55)
 DEFAULT_TARGET = (0.50, 0.0, 0.02)
 
+SIDE_EYE = (0.50, -0.40, 0.55)
+FILM_EYE, FILM_TARGET = (1.15, -0.55, 0.70), (0.32, 0.16, 0.10)
+
 
 @dataclass(frozen=True, eq=False)
 class CameraView:
@@ -111,3 +114,13 @@ def camera(model: str, size_wh: tuple[int, int] = (640, 480)) -> CameraIntrinsic
 def default_view(model: str = "l515", size_wh: tuple[int, int] = (640, 480)) -> CameraView:
     """Return the view that faces the robot across the table and holds the whole workspace."""
     return CameraView(camera(model, size_wh), look_at(DEFAULT_EYE, DEFAULT_TARGET))
+
+
+def side_view(model: str = "l515", size_wh: tuple[int, int] = (640, 480)) -> CameraView:
+    """Return the view across the table from the side opposite the bin, for what the default view does not show."""
+    return CameraView(camera(model, size_wh), look_at(SIDE_EYE, DEFAULT_TARGET))
+
+
+def film_view() -> CameraView:
+    """Return the view that shows arm, table and bin, for videos."""
+    return CameraView(camera("d455", (320, 240)), look_at(FILM_EYE, FILM_TARGET))

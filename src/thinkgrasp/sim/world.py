@@ -4,6 +4,9 @@ World frame: the robot's base on the table plane, z up, x forward. The world hol
 goes through a camera (`thinkgrasp.cameras.simulated`) and carries none of it.
 """
 
+# MuJoCo's bindings carry no types.
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
@@ -17,8 +20,9 @@ from scipy.spatial.transform import Rotation
 from thinkgrasp.errors import InputError
 from thinkgrasp.geometry import make_transform
 from thinkgrasp.motion.arm_spec import ARM_JOINTS, GRIPPER_JOINTS, PADS, add_arm
+from thinkgrasp.motion.arm_spec import GROUP as ROBOT_GROUP
 from thinkgrasp.motion.cell import BIN, HOME_RAD, STATICS, StaticBox
-from thinkgrasp.motion.robotiq_2f85 import CLOSED_RAD, crank_angle
+from thinkgrasp.motion.robotiq_2f85 import CLOSED_RAD, crank_angle, opening
 from thinkgrasp.sim.objects import CollisionPiece, SimObject, VisualPiece
 
 TIMESTEP_S = 0.002
@@ -78,6 +82,7 @@ class World:
         self._set_masses()
         for index in range(len(self.objects)):
             self.park(index)
+        self._robot_geoms = self.model.geom_group == ROBOT_GROUP
         if robot:
             self._pads = np.array([self.model.geom(name).id for name in PADS])
             self.set_joints(np.array(HOME_RAD), 0.085)
@@ -89,11 +94,13 @@ class World:
         """Put an object at rest at a pose (4, 4)."""
         self._set_pose(index, T_world_object)
         self.model.body_gravcomp[self._bodies[index]] = 0.0
+        mujoco.mj_kinematics(self.model, self.data)
 
     def park(self, index: int) -> None:
         """Take an object out of the world."""
         self._set_pose(index, make_transform(np.eye(3), [float(index), 0.0, _PARKED_Z_M]))
         self.model.body_gravcomp[self._bodies[index]] = 1.0
+        mujoco.mj_kinematics(self.model, self.data)
 
     def _set_pose(self, index: int, T: NDArray[np.float64]) -> None:
         at, dof = self._qpos_at[index], self._dof_at[index]
@@ -178,8 +185,6 @@ class World:
 
     def opening(self) -> float:
         """Return the opening between the pads [m]."""
-        from thinkgrasp.motion.robotiq_2f85 import opening
-
         right, left = self.data.qpos[len(ARM_JOINTS)], self.data.qpos[len(ARM_JOINTS) + 2]
         return float((opening(right) + opening(left)) / 2)
 
@@ -192,6 +197,7 @@ class World:
         self.data.qvel[: n + len(GRIPPER_JOINTS)] = 0.0
         self.command(q, np.zeros(n))
         self.command_gripper(opening_m)
+        mujoco.mj_kinematics(self.model, self.data)
 
     def command(self, q: NDArray[np.float64], velocity: NDArray[np.float64]) -> None:
         """Set the arm's targets: angles (6,) [rad] and, so that the servos do not lag, velocities (6,) [rad/s]."""
@@ -228,23 +234,17 @@ class World:
         both = sorted(right & left)
         return both[0] if both else None
 
-    def collision_force(self) -> float:
-        """Return the largest force [N] between the robot and anything; while it grips, not between pads and objects."""
-        largest = 0.0
-        force = np.zeros(6)
-        n_static = self._robot_geoms
-        for i in range(self.data.ncon):
-            contact = self.data.contact[i]
-            mine = [g for g in (contact.geom1, contact.geom2) if n_static[g]]
-            if len(mine) != 1:
-                continue
+    def collision_force(self, held: int | None = None) -> float:
+        """Return the largest force [N] of the robot, with what it holds, against anything else."""
+        if self.data.ncon == 0:
+            return 0.0
+        pairs = self.data.contact.geom
+        moving = self._robot_geoms if held is None else self._robot_geoms | (self.object_of_geom == held)
+        force, largest = np.zeros(6), 0.0
+        for i in np.flatnonzero(moving[pairs[:, 0]] != moving[pairs[:, 1]]).tolist():
             mujoco.mj_contactForce(self.model, self.data, i, force)
             largest = max(largest, float(np.linalg.norm(force[:3])))
         return largest
-
-    @property
-    def _robot_geoms(self) -> NDArray[np.bool_]:
-        return self.model.geom_group == 1
 
     def _set_masses(self) -> None:
         """Scale the bodies, compiled at unit density, to the objects' masses; damp rolling."""

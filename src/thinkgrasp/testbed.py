@@ -1,0 +1,161 @@
+"""One simulated episode from start to end: the cell with its pile, cameras, robot and pipeline, and the referee."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thinkgrasp import loop
+from thinkgrasp.cameras.simulated import SimulatedCamera
+from thinkgrasp.config import PipelineConfig, StageConfig, load_config, make_pipeline
+from thinkgrasp.errors import ConfigError
+from thinkgrasp.interfaces import Recorder
+from thinkgrasp.pipeline import Pipeline
+from thinkgrasp.robots.simulated import SimulatedRobot, Truth
+from thinkgrasp.sim.oracle import ORACLE, oracle_pipeline
+from thinkgrasp.sim.scenes import PiledScene
+from thinkgrasp.sim.views import CameraView, default_view, side_view
+from thinkgrasp.sim.world import World
+from thinkgrasp.types import Decision, Frame, Grasp, Outcome
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """Which sensor looks at the cell."""
+
+    model: str = "l515"
+    size_wh: tuple[int, int] = (640, 480)
+    noise: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """What really happened in one attempt, beside what the robot reported."""
+
+    outcome: Outcome
+    truth: Truth
+    moved_out: tuple[int, ...]
+    """Objects that left the table without being taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedEpisode:
+    """A run of the loop, and the truth about it."""
+
+    episode: loop.Episode
+    attempts: tuple[Attempt, ...]
+    goals: tuple[int, ...]
+
+
+class Session:
+    """A pile in the cell, ready to be worked on.
+
+    Args:
+        scene: What lies on the table.
+        camera: Which sensor; a second one of its kind looks from the side.
+        seed: Of the sensors' noise.
+        watch: Called about every 0.1 s of simulated time.
+    """
+
+    def __init__(
+        self,
+        scene: PiledScene,
+        camera: CameraOptions = CameraOptions(),
+        *,
+        seed: int = 0,
+        watch: Callable[[], None] | None = None,
+    ) -> None:
+        self.scene = scene
+        self.world = World(scene.spec.objects)
+        for index, T in enumerate(scene.poses):
+            self.world.place(index, T)
+        self.world.settle(max_seconds=1.0)
+        self.views = tuple(view(camera.model, camera.size_wh) for view in (default_view, side_view))
+        noise = camera.model if camera.noise else None
+        self.cameras = tuple(
+            SimulatedCamera(self.world, view, noise=noise, seed=seed * len(self.views) + i)
+            for i, view in enumerate(self.views)
+        )
+        self.robot = _Witness(SimulatedRobot(self.world, watch=watch))
+
+    @property
+    def goals(self) -> tuple[int, ...]:
+        """Indices of the objects that serve the instruction."""
+        return self.scene.spec.goals
+
+    def goal_delivered(self) -> bool:
+        """Whether a goal lies in the bin: what the person at the bin sees."""
+        return any(self.world.in_bin(g) for g in self.goals)
+
+    def pipeline(self, preset: str | PipelineConfig) -> Pipeline:
+        """Return the pipeline that the loop runs here; the oracle's has the truth of this session."""
+        config = load_config("offline") if preset == ORACLE else preset
+        config = for_the_loop(config if isinstance(config, PipelineConfig) else load_config(config))
+        return oracle_pipeline(config, self.world, self.goals) if preset == ORACLE else make_pipeline(config)
+
+    def run(
+        self,
+        pipeline: Pipeline,
+        *,
+        step_limit: int,
+        instruction: str | None = None,
+        recorders: Iterable[Recorder] = (),
+        stop: Callable[[], bool] = lambda: False,
+    ) -> SimulatedEpisode:
+        """Run the loop until a goal is in the bin, or it ends otherwise."""
+        episode = loop.run_episode(
+            self.cameras,
+            pipeline,
+            self.robot,
+            instruction or self.scene.spec.instruction,
+            step_limit=step_limit,
+            referee=lambda decision, outcome: self.goal_delivered(),
+            recorders=recorders,
+            stop=stop,
+        )
+        return SimulatedEpisode(episode, tuple(self.robot.attempts), self.goals)
+
+
+class _Witness:
+    """A robot that notes, for statistics, what really happened in every attempt."""
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self.robot = robot
+        self.attempts: list[Attempt] = []
+
+    def execute(self, grasp: Grasp, frame: Frame) -> Outcome:
+        world = self.robot.world
+        before = [world.on_table(i) for i in range(len(world.objects))]
+        outcome = self.robot.execute(grasp, frame)
+        gone = tuple(
+            i for i, was in enumerate(before)
+            if was and not world.on_table(i) and i != self.robot.truth.delivered
+        )  # fmt: skip
+        self.attempts.append(Attempt(outcome, self.robot.truth, gone))
+        return outcome
+
+
+def for_the_loop(config: PipelineConfig) -> PipelineConfig:
+    """Return a configuration as the loop runs it.
+
+    Only what the arm reaches is chosen; fingers may touch the table's noise, since the robot feels a contact; and a
+    planner of ours goes on clearing while the goal is not in view. Settings that were made stay.
+    """
+    checks = [
+        _with_default(c, "support_noise_m", 0.003) if c.name == "collision" else c for c in config.checks
+    ]  # fmt: skip
+    if all(c.name != "reach" for c in checks):
+        checks.append(StageConfig("reach"))
+    planner, generator = config.planner, config.generator
+    if planner.name == "offline":
+        planner = _with_default(planner, "search", "all")
+    if generator.name == "antipodal":
+        generator = _with_default(generator, "tip_height_m", 0.0035)
+    return replace(config, planner=planner, generator=generator, checks=tuple(checks))
+
+
+def _with_default(stage: StageConfig, key: str, value: object) -> StageConfig:
+    return stage if key in stage.settings else stage.with_setting(key, value)
