@@ -26,13 +26,13 @@ CLEARANCE_M = 0.01
 FALL_M = 0.06
 """Least height of a fall."""
 SETTLE_S = 2.0
-HOLD_S, HOLD_M = 0.4, 0.003
+HOLD_S, HOLD_M = 0.4, 0.005
 """A pile that is set up anew moves by no more than this in this time."""
 FENCE_M = 0.03
 """Where things that move are stopped, inside the workspace's edge."""
 FENCE_PERIOD_S = 0.03
 STOPPED_M_S = 0.02
-PUT_BACK_ROUNDS = 8
+PUT_BACK_ROUNDS = 12
 PUT_BACK_TRIES = 100
 INNER_M = 0.07
 """Things are dropped at least this far inside the workspace's edge."""
@@ -107,7 +107,9 @@ class Pile:
         return np.array([self.world.center(index) for index in self.dropped])
 
     def _set_up(self, poses: Float) -> None:
+        now = self.world.time_s
         mujoco.mj_resetData(self.world.model, self.world.data)
+        self.world.data.time = now
         for index in range(len(poses)):
             if index in self.dropped:
                 self.world.place(index, poses[index])

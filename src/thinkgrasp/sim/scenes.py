@@ -206,17 +206,13 @@ def _pour(pile: Pile, selection: Selection, visibility: Visibility | None) -> bo
         for index in order:
             pile.scatter(int(index))
         return pile.settle()
-    under, over = (others[:-PARTLY_OVER], others[-PARTLY_OVER:]) if visibility == "partly" else ([], others)
-    if visibility == "hidden":
-        over.sort(key=lambda i: -_footprint_m2(selection.objects[i]))
-    for index in under:
-        pile.scatter(index)
+    others.sort(key=lambda i: _footprint_m2(selection.objects[i]), reverse=visibility == "hidden")
     for goal in goals:
         pile.drop(goal, _CENTER + pile.rng.uniform(-0.05, 0.05, 2))
     pile.settle()
     low, high = VISIBLE_SHARE[visibility]
     covered = False
-    for index in over:
+    for index in others:
         shares = _shares(pile.world, goals)
         covered = max(shares) < high - COVER_MARGIN * (high - low)
         if min(shares) < low:
@@ -234,8 +230,6 @@ def _pour(pile: Pile, selection: Selection, visibility: Visibility | None) -> bo
 
 COVER_MARGIN = 0.2
 """Things are dropped onto a goal until what is seen of it lies this far inside the range, then elsewhere."""
-PARTLY_OVER = 5
-"""How many things may fall onto a goal that is to be hidden in part; the others lie under it."""
 COVER_AT_M = np.array([0.05, 0.0])
 """Where they are dropped, from the goal's middle: a little towards the camera."""
 COVER_SPREAD_M = 0.025
