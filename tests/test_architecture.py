@@ -30,7 +30,7 @@ ORDER = [
     ["viz"],
     ["recorder"],
     ["testbed"],
-    ["environment"],
+    ["environment", "demo"],
     ["testing"],
     ["doctor", "summary"],
     ["server"],

@@ -12,9 +12,9 @@ import re
 import sys
 import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from tyro.conf import Positional, UseAppendAction, arg, subcommand
@@ -26,7 +26,7 @@ from thinkgrasp.outputs import check_writable, make_folder, one_line, write_atom
 if TYPE_CHECKING:
     from thinkgrasp.config import PipelineConfig
     from thinkgrasp.gripper import Gripper
-    from thinkgrasp.types import Decision, Frame
+    from thinkgrasp.types import Decision
 
 OVERLAY_SUFFIXES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
 DONE, NOTHING, BAD_INPUT, BUG, INTERRUPTED = 0, 1, 2, 3, 130
@@ -102,37 +102,75 @@ class GraspCommand:
 
 @dataclass(frozen=True)
 class DemoCommand:
-    """Render a table top, find a grasp on it, and write everything into a folder."""
+    """Clear a simulated table until the goal is in the bin; record, film and report the episode."""
 
-    instruction: Annotated[Positional[str], arg(metavar="INSTRUCTION")] = "something to drink from"
-    """What to take."""
+    instruction: Annotated[Positional[str | None], arg(metavar="INSTRUCTION")] = None
+    """What to take, for example "I need a fruit"; default: the task's own sentence, or that one."""
+    task: Annotated[str | None, arg(metavar="NAME")] = None
+    """A pile of the published benchmark, for example clutter-06-fruit or heavy-05-fruit_hard."""
+    objects: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Your own objects, a folder with a model.urdf each; the instruction names one of them."""
+    visibility: Literal["visible", "partly", "hidden"] | None = None
+    """How much of the goal the camera sees at first; by default as the task says, or as it falls; "hidden" where
+    nothing was asked for."""
     out: Path = Path("out/demo")
-    """Folder for color.png, depth.png, camera.json, decision.json, config.json, overlay.png and view.html."""
+    """Folder for report.html, the video, every step's images and JSON, and config.json."""
+    camera: Literal["l515", "d455"] = "l515"
+    """Which sensor's field of view and depth noise."""
+    size: Annotated[str, arg(metavar="WxH")] = "640x480"
+    """Image size: 640x480, 320x240 or 224x224."""
+    noise: bool = True
+    """Depth as the sensor would measure it; --no-noise: exact."""
+    video: bool = True
+    """Film the episode."""
+    steps: Annotated[int | None, arg(metavar="N")] = None
+    """Attempts at most."""
+    live: bool = False
+    """Show the running episode in the browser."""
+    port: Annotated[int, arg(metavar="PORT")] = 8080
+    """Where --live listens, on this machine only."""
     json: bool = False
-    """Print the decision as JSON."""
+    """Print the episode as JSON."""
     stages: tyro.conf.OmitArgPrefixes[StageOptions] = StageOptions()
 
     def run(self) -> int:
         """Carry the command out and return the exit code."""
-        from thinkgrasp.cameras.files import load_frame
-        from thinkgrasp.cameras.saving import save_frame
-        from thinkgrasp.config import make_pipeline, to_json
-        from thinkgrasp.schema import decision_to_schema
+        from thinkgrasp.demo import DemoOptions, run_demo
+        from thinkgrasp.loop import END_WORDS
+        from thinkgrasp.sim.options import CameraOptions, parse_size
 
-        _check_text(self.instruction)
-        config = _configure(self.stages)
-        pipeline = make_pipeline(config)
+        if self.instruction is not None:
+            _check_text(self.instruction)
+        if self.steps is not None and self.steps < 1:
+            raise ConfigError(f"--steps must be at least 1, got {self.steps}")
+        oracle = self.stages.preset == "oracle"
+        config = _configure(replace(self.stages, preset="offline") if oracle else self.stages)
         make_folder(self.out)
-        _progress("rendering the table top")
-        frame = load_frame(*save_frame(demo_frame(config.seed), self.out))
-        _progress(f"deciding: {self.instruction}")
-        decision = pipeline.decide(frame, self.instruction)
-        write_atomic(self.out / "decision.json", decision_to_schema(decision).to_json(indent=2).encode())
-        write_atomic(self.out / "config.json", to_json(config).encode())
-        _write_pictures(decision, pipeline.gripper, self.out / "overlay.png", self.out / "view.html")
-        _print_decision(decision, as_json=self.json)
-        _progress(f"the frame, the decision, overlay.png and view.html are in {self.out.resolve()}")
-        return DONE if decision.status == "grasp" else NOTHING
+        options = DemoOptions(
+            instruction=self.instruction,
+            task=self.task,
+            objects=self.objects,
+            seed=self.stages.seed or 0,
+            steps=self.steps,
+            visibility=self.visibility,
+            video=self.video,
+            live_port=self.port if self.live else None,
+        )
+        camera = CameraOptions(self.camera, parse_size(self.size), self.noise)
+        if oracle:
+            _progress("the oracle preset reads the simulator's truth: names and masks are not perceived")
+        episode = run_demo(options, self.stages.preset, config, camera, self.out, _progress)
+        report = (self.out / "report.html").resolve()
+        if self.json:
+            print(_encodable(episode.to_json(indent=2)))
+        else:
+            print(f"{'goal delivered' if episode.success else 'goal not delivered'}: {episode.instruction}")
+            print(f"  goal      {episode.goal}")
+            print(f"  steps     {episode.steps}")
+            print(f"  end       {episode.end}: {END_WORDS[episode.end]}")
+            print(f"  report    {report}")
+        _progress(f"open {report}")
+        return DONE if episode.success else NOTHING
 
 
 @dataclass(frozen=True)
@@ -235,15 +273,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         message = one_line(f"{type(error).__name__}: {error}")
         return _fail(error, BUG, f"{message} (this is a bug; --debug shows where)", debug=debug)
-
-
-def demo_frame(seed: int) -> Frame:
-    """Return the rendered frame of the demonstration scene, the same for the same seed."""
-    import numpy as np
-
-    from thinkgrasp.sim.tabletop import demo_camera, demo_scene, render
-
-    return render(demo_scene(seed), *demo_camera(), rng=np.random.default_rng(seed)).frame
 
 
 def _parse(args: list[str]) -> GraspCommand | DemoCommand | DoctorCommand | PluginsCommand | PresetsCommand | int:

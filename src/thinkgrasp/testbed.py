@@ -5,30 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from thinkgrasp import loop
 from thinkgrasp.cameras.simulated import SimulatedCamera
 from thinkgrasp.config import PipelineConfig, StageConfig, load_config, make_pipeline
-from thinkgrasp.errors import ConfigError
 from thinkgrasp.interfaces import Recorder
 from thinkgrasp.pipeline import Pipeline
 from thinkgrasp.robots.simulated import SimulatedRobot, Truth
+from thinkgrasp.sim.options import CameraOptions
 from thinkgrasp.sim.oracle import ORACLE, oracle_pipeline
 from thinkgrasp.sim.scenes import PiledScene
-from thinkgrasp.sim.views import CameraView, default_view, side_view
+from thinkgrasp.sim.views import default_view, side_view
 from thinkgrasp.sim.world import World
-from thinkgrasp.types import Decision, Frame, Grasp, Outcome
-
-
-@dataclass(frozen=True)
-class CameraOptions:
-    """Which sensor looks at the cell."""
-
-    model: str = "l515"
-    size_wh: tuple[int, int] = (640, 480)
-    noise: bool = True
+from thinkgrasp.types import Frame, Grasp, Outcome
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,19 +43,18 @@ class Session:
 
     Args:
         scene: What lies on the table.
-        camera: Which sensor; a second one of its kind looks from the side.
+        camera: Which sensor, by default the L515 at 640x480; a second one of its kind looks from the side.
         seed: Of the sensors' noise.
-        watch: Called about every 0.1 s of simulated time.
     """
 
     def __init__(
         self,
         scene: PiledScene,
-        camera: CameraOptions = CameraOptions(),
+        camera: CameraOptions | None = None,
         *,
         seed: int = 0,
-        watch: Callable[[], None] | None = None,
     ) -> None:
+        camera = camera or CameraOptions()
         self.scene = scene
         self.world = World(scene.spec.objects)
         for index, T in enumerate(scene.poses):
@@ -79,12 +66,16 @@ class Session:
             SimulatedCamera(self.world, view, noise=noise, seed=seed * len(self.views) + i)
             for i, view in enumerate(self.views)
         )
-        self.robot = _Witness(SimulatedRobot(self.world, watch=watch))
+        self.robot = _Witness(SimulatedRobot(self.world))
 
     @property
     def goals(self) -> tuple[int, ...]:
         """Indices of the objects that serve the instruction."""
         return self.scene.spec.goals
+
+    def watch(self, watcher: Callable[[], None]) -> None:
+        """Have someone called about every 0.1 s of simulated time, for videos and live views."""
+        self.robot.robot.watchers.append(watcher)
 
     def goal_delivered(self) -> bool:
         """Whether a goal lies in the bin: what the person at the bin sees."""

@@ -35,9 +35,7 @@ class Bin:
     def contains(self, point_m: NDArray[np.float64]) -> bool:
         """Whether a world point (3,) lies inside, or not more than one wall's height above the rim."""
         x, y, z = (float(c) for c in point_m)
-        return (
-            self.x_m[0] <= x <= self.x_m[1] and self.y_m[0] <= y <= self.y_m[1] and -0.02 <= z <= 2 * self.height_m
-        )
+        return self.x_m[0] <= x <= self.x_m[1] and self.y_m[0] <= y <= self.y_m[1] and -0.02 <= z <= 2 * self.height_m
 
     @property
     def walls(self) -> tuple[StaticBox, ...]:

@@ -63,7 +63,6 @@ class SimulatedRobot:
         world: With its robot.
         motion: Plans the arm's motions.
         force_n: What each pad presses with.
-        watch: Called about every 0.1 s of simulated time, for videos and live views.
 
     Raises:
         InputError: The world has no robot.
@@ -75,14 +74,13 @@ class SimulatedRobot:
         motion: ArmMotion | None = None,
         *,
         force_n: float = GRIP_FORCE_N,
-        watch: Callable[[], None] | None = None,
     ) -> None:
         if not world.has_robot:
             raise InputError("this world was made without a robot")
         self.world = world
         self.motion = motion or ArmMotion()
         self.force_n = force_n
-        self.watch = watch
+        self.watchers: list[Callable[[], None]] = []
         self.truth = Truth(None, None)
         self._watched_s = 0.0
 
@@ -245,9 +243,10 @@ class SimulatedRobot:
 
     def _tick(self) -> None:
         self.world.step(round(TICK_S / TIMESTEP_S))
-        if self.watch is not None and self.world.time_s - self._watched_s >= WATCH_S:
+        if self.watchers and self.world.time_s - self._watched_s >= WATCH_S:
             self._watched_s = self.world.time_s
-            self.watch()
+            for watcher in self.watchers:
+                watcher()
 
 
 def _over_bin(yaw: float, z_m: float) -> Float:

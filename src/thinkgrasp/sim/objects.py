@@ -58,7 +58,9 @@ class VisualPiece:
     def __post_init__(self) -> None:
         V, F = self.vertices, self.faces
         if V.ndim != 2 or V.shape[1] != 3 or V.dtype != np.float32 or not np.isfinite(V).all():
-            raise ContractError(f"visual {self.part!r}: vertices must be finite (V, 3) float32, got {V.shape} {V.dtype}")
+            raise ContractError(
+                f"visual {self.part!r}: vertices must be finite (V, 3) float32, got {V.shape} {V.dtype}"
+            )
         if F.ndim != 2 or F.shape[1] != 3 or F.dtype != np.int32 or len(F) == 0:
             raise ContractError(f"visual {self.part!r}: faces must be (F, 3) int32, F > 0, got {F.shape} {F.dtype}")
         if F.min() < 0 or F.max() >= len(V):
