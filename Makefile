@@ -1,6 +1,7 @@
-# make demo    one decision on a rendered table top; writes out/demo
+# make demo    one closed-loop episode in simulation; writes out/demo with report.html
 # make test    all tests, in a fresh .venv
 # make lint    ruff and pyright
+# make bench-loop  closed-loop episodes and single grasps in simulation (about an hour; see docs/measurements.md)
 # make bench   speed and memory stage by stage, perception and language on rendered scenes;
 #              FRAMES=DIR adds the real frames of a folder (see docs/measurements.md)
 
@@ -10,12 +11,12 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST_ARGS ?= -n auto --dist loadfile
 
-.PHONY: help demo test lint bench browser clean
+.PHONY: help demo test lint bench bench-loop browser clean
 
 help:
 	@sed -n 's/^# //p' Makefile
 
-demo: $(VENV)/.base
+demo: $(VENV)/.sim
 	@code=0; $(BIN)/thinkgrasp demo --out out/demo || code=$$?; [ $$code -le 1 ] || exit $$code
 
 test: $(VENV)/.test browser
@@ -30,6 +31,10 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/latency.py
 	$(BIN)/python benchmarks/perception.py
 	$(BIN)/python benchmarks/grounding.py --split test
+	$(BIN)/python benchmarks/motion.py
+	$(BIN)/python benchmarks/rendering.py
+	$(BIN)/python benchmarks/settling.py
+	$(BIN)/python benchmarks/attempts.py
 ifdef FRAMES
 	$(BIN)/python benchmarks/latency.py --frames $(FRAMES)
 	$(BIN)/python benchmarks/real_frames.py $(FRAMES)
@@ -37,6 +42,10 @@ ifdef FRAMES
 	$(BIN)/python benchmarks/leave_one_out.py $(FRAMES)
 	$(BIN)/python benchmarks/stability.py $(FRAMES)
 endif
+
+bench-loop: $(VENV)/.test
+	$(BIN)/python benchmarks/grasping.py
+	$(BIN)/python benchmarks/episodes.py --suite all --preset oracle offline --seeds 10 --out out/episodes.jsonl
 
 # The tests of the 3-D view drive a browser; without one they are skipped, and say so.
 browser:
@@ -63,9 +72,14 @@ $(VENV)/.base: $(VENV)/.created pyproject.toml constraints.txt
 	@$(PIP) --editable .
 	@touch $@
 
-$(VENV)/.test: $(VENV)/.base
+$(VENV)/.sim: $(VENV)/.base
+	@echo "installing the simulator"
+	@$(PIP) --editable '.[sim]'
+	@touch $@
+
+$(VENV)/.test: $(VENV)/.sim
 	@echo "installing what the tests need"
-	@$(PIP) --group test
+	@$(PIP) --editable '.[sim,convex,viz,ompl]' --group test
 	@touch $@
 
 $(VENV)/.lint: $(VENV)/.test

@@ -25,14 +25,16 @@ class Extra:
 
 
 EXTRAS: dict[str, Extra] = {
-    "sim": Extra("closed-loop episodes in the MuJoCo simulator", False),
+    "sim": Extra("closed-loop episodes in the MuJoCo simulator", True),
+    "convex": Extra("convex pieces for your own objects whose collision mesh is not convex", True),
+    "egl": Extra("rendering simulated frames on a GPU", True),
     "vlm": Extra("planning with GPT-4o or any server that speaks chat.completions", False),
     "langsam": Extra("masks from text by GroundingDINO and SAM", False),
     "graspnet": Extra("the GraspNet-1Billion and FGC-GraspNet generators", False),
     "server": Extra("the HTTP server and its client", False),
-    "viz": Extra("the interactive viser viewer", False),
+    "viz": Extra("following an episode in the browser (demo --live)", True),
     "rerun": Extra("recording episodes for the rerun viewer", False),
-    "ompl": Extra("RRT* and other motion planners", False),
+    "ompl": Extra("RRT* and other motion planners", True),
     "ray": Extra("benchmarks on several workers", False),
     "ur": Extra("Universal Robots arms", False),
     "realsense": Extra("Intel RealSense cameras", False),

@@ -24,7 +24,7 @@ DEFAULT_EYE = (0.86, 0.0, 0.55)
 DEFAULT_TARGET = (0.50, 0.0, 0.02)
 
 SIDE_EYE = (0.50, -0.40, 0.55)
-FILM_EYE, FILM_TARGET = (1.15, -0.55, 0.70), (0.32, 0.16, 0.10)
+FILM_EYE, FILM_TARGET = (0.98, -0.72, 0.66), (0.33, 0.14, 0.12)
 
 
 @dataclass(frozen=True, eq=False)
