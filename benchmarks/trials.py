@@ -1,0 +1,61 @@
+"""Many independent trials on a few processes, and what may be said of k successes in n."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import TypeVar
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+_Z95 = 1.959964
+
+
+def run_all(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
+    """Yield the results of an importable function in the order in which they are finished.
+
+    The jobs run in fresh processes with one thread for linear algebra, so that sums are the same for any number of
+    workers; the processes end when this one does, however it ends.
+    """
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[variable] = "1"
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(max(1, min(workers, len(jobs))), mp_context=spawn, initializer=_end_with_parent)
+    try:
+        for future in as_completed([pool.submit(work, job) for job in jobs]):
+            yield future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+
+    def wait() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def wilson(k: int, n: int) -> tuple[float, float]:
+    """Return the 95 % interval of a rate of which k of n trials were seen to succeed (Wilson's score interval)."""
+    if n == 0:
+        return 0.0, 1.0
+    rate, z2 = k / n, _Z95**2
+    middle = (rate + z2 / (2 * n)) / (1 + z2 / n)
+    half = _Z95 / (1 + z2 / n) * (rate * (1 - rate) / n + z2 / (4 * n * n)) ** 0.5
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def rate(k: int, n: int) -> str:
+    """Return "87/100 = 87.0 % (95 %: 79.0 to 92.2)"."""
+    if n == 0:
+        return "0/0"
+    low, high = wilson(k, n)
+    return f"{k}/{n} = {100 * k / n:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f})"
