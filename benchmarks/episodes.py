@@ -4,9 +4,8 @@
     python benchmarks/episodes.py --tasks pear heavy-04-fruit --seeds 3
 
 Every finished episode is one line of --out at once; the same command on the same file goes on where it was interrupted,
-and prints the report over all that it asked for. Results do not depend on the number of workers; times do, so take those from
-a run with one.
-The preset `oracle` knows names and masks from the simulator: an upper bound.
+and prints the report over all that it asked for. Results do not depend on the number of workers; times do: take those
+from a run with one. The preset `oracle` knows names and masks from the simulator: an upper bound.
 """
 
 from __future__ import annotations
@@ -183,6 +182,18 @@ def run_jobs(jobs: Sequence[Job], workers: int, out: Path | None) -> list[Episod
     return [found[job.key] for job in jobs]
 
 
+def size_wh(text: str) -> tuple[int, int]:
+    """Read "640x480".
+
+    Raises:
+        ConfigError: It is no size.
+    """
+    sides = text.split("x")
+    if len(sides) != 2 or not all(side.isdecimal() for side in sides):
+        raise ConfigError(f"--size must be WIDTHxHEIGHT, for example 640x480, got {text!r}")
+    return int(sides[0]), int(sides[1])
+
+
 def main(
     suite: Literal["clutter", "heavy", "all"] = "all",
     preset: tuple[str, ...] = ("oracle", "offline"),
@@ -205,13 +216,9 @@ def main(
         size: Of the camera's image.
         out: JSON lines, one per finished episode.
     """
-    try:
-        width, height = (int(side) for side in size.split("x"))
-    except ValueError:
-        raise ConfigError(f"--size must be WIDTHxHEIGHT, for example 640x480, got {size!r}") from None
     chosen = [find_task(name) for name in tasks] or [t for t in TASKS if suite in ("all", t.suite)]
     jobs = [
-        Job(task.name, seed, name, (width, height))
+        Job(task.name, seed, name, size_wh(size))
         for name in preset
         for task in chosen
         for seed in range(first_seed, first_seed + seeds)
