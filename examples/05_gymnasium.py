@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import gymnasium
 
-from thinkgrasp import load_config, make_pipeline
+from thinkgrasp.config import load_config, make_pipeline
 from thinkgrasp.environment import GraspingEnv, pose_action
 from thinkgrasp.testbed import for_the_loop
 

@@ -76,9 +76,9 @@ class GraspingEnv(gymnasium.Env[Observation, NDArray[Any]]):
 
     An action is a float32 vector:
 
-    - "pose" (8,): position x, y, z of the point midway between the fingertips [m], within the workspace; orientation as
-      a quaternion w, x, y, z of any length (+z approach, +x closing), all zeros = from straight above, closing along
-      the world's x; opening between the fingers before they close [m].
+    - "pose" (8,): position x, y, z of the point midway between the fingertips [m], within the workspace above the
+      table; orientation as a quaternion w, x, y, z of any length (+z approach, +x closing), all zeros = from straight
+      above, closing along the world's x; opening between the fingers before they close [m].
     - "pixel" (4,): column u and row v, rounded to whole pixels; angle of the closing direction about the world's
       vertical, from its x axis [rad]; opening [m]. The gripper comes from straight above, and its tips close
       PIXEL_DEPTH_M below the pixel's point, but not lower than LOWEST_TIP_M above the table.
@@ -99,7 +99,8 @@ class GraspingEnv(gymnasium.Env[Observation, NDArray[Any]]):
     - "goals": names of all objects that serve the instruction.
     - "visible": per goal, the share 0..1 of its pixels that nothing hides now; 0 when it has left the image.
     - "attempts": how many there were in this episode.
-    - "task", "scene_seed": what makes the same pile again, as options of `reset` or with `thinkgrasp demo`.
+    - "task", "scene_seed": what makes the same pile again, as options of `reset` (with the same "visibility", if it
+      was given) or with `thinkgrasp demo`.
 
     Everything in `info` but the outcome and the attempts is the simulator's truth: for rewards of one's own and for
     statistics, not for policies.
@@ -303,9 +304,9 @@ def register() -> None:
 
 
 def _pose_space() -> spaces.Box:
-    low, high = default_workspace()
+    (x, y, _), high = default_workspace()
     return spaces.Box(
-        np.array([*low, -1, -1, -1, -1, 0], np.float32),
+        np.array([x, y, 0, -1, -1, -1, -1, 0], np.float32),
         np.array([*high, 1, 1, 1, 1, STROKE_M], np.float32),
         dtype=np.float32,
     )
