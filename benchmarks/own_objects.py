@@ -2,8 +2,8 @@
 
     python benchmarks/own_objects.py ../shared/objects_ycb [--seeds 5] [--preset offline] [--workers 2]
 
-DIR holds a folder per object with its model.urdf. Every object in turn is asked for as "the <name>"; it alone lies among
-the others.
+DIR holds a folder per object with its model.urdf. Every object in turn is asked for as "the <name>"; it alone lies
+among the others.
 """
 
 from __future__ import annotations

@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import TypeVar
 
+from scipy.stats import binomtest
+
 Job = TypeVar("Job")
 Result = TypeVar("Result")
-
-_Z95 = 1.959964
 
 
 def run_all(work: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
@@ -47,10 +47,8 @@ def wilson(k: int, n: int) -> tuple[float, float]:
     """Return the 95 % interval of a rate of which k of n trials were seen to succeed (Wilson's score interval)."""
     if n == 0:
         return 0.0, 1.0
-    rate, z2 = k / n, _Z95**2
-    middle = (rate + z2 / (2 * n)) / (1 + z2 / n)
-    half = _Z95 / (1 + z2 / n) * (rate * (1 - rate) / n + z2 / (4 * n * n)) ** 0.5
-    return max(0.0, middle - half), min(1.0, middle + half)
+    interval = binomtest(k, n).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def rate(k: int, n: int) -> str:

@@ -1,0 +1,161 @@
+"""The benchmarks of the closed loop run on the smallest that they can measure, and what they conclude is right."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+pytest.importorskip("mujoco")
+
+ROOT = Path(__file__).resolve().parents[1]
+YCB = ROOT.parent / "shared" / "objects_ycb"
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch):
+    """Import a benchmark by name, as its siblings and the processes it starts do."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
+    return importlib.import_module
+
+
+def look(records: ModuleType, **changes: object):
+    return replace(records.Look("grasp", "pear", "goal", "pear", True, True, 300.0), **changes)
+
+
+def tried(records: ModuleType, reason: str = "slipped", **changes: object):
+    return replace(records.Tried(look(records), reason, "", "", False, False, (), 1.0), **changes)
+
+
+def episode(records: ModuleType, **changes: object):
+    record = records.EpisodeRecord(
+        records.SCHEMA, "clutter", "clutter-09-pear", 0, "offline", (224, 224), "give me the pear",
+        ("pear",), (1.0,), 10, False, "step_limit", 1, (tried(records),), None, (), 0, 5.0,
+    )  # fmt: skip
+    return replace(record, **changes)
+
+
+def test_an_interval_holds_the_rate_and_stays_within_0_and_1(bench) -> None:
+    trials = bench("trials")
+    low, high = trials.wilson(87, 100)  # 0.7902, 0.9224 by the closed formula
+    assert (low, high) == pytest.approx((0.7902, 0.9224), abs=1e-4)
+    assert 0.9999 < trials.wilson(10, 10)[1] <= 1.0
+    assert trials.wilson(0, 10)[0] == pytest.approx(0.0, abs=1e-12)
+    assert trials.wilson(0, 0) == (0.0, 1.0)
+
+
+def test_failures_are_told_apart_by_the_truth(bench) -> None:
+    records = bench("episode_records")
+    elsewhere = look(records, aimed="lemon", is_goal_aimed=False)
+    unseen = replace(elsewhere, role="obstruction", is_goal_in_view=False)
+    cases = {
+        "grasps at a goal failed": episode(records, attempts=(tried(records), tried(records, "collision"))),
+        "a goal was in view, but not recognised": episode(records, attempts=(tried(records, "held", look=elsewhere),)),
+        "no goal was ever in view": episode(records, attempts=(tried(records, "held", look=unseen),)),
+        "no grasp on a goal survived the checks": episode(
+            records, attempts=(), unanswered=look(records, status="no_grasp")
+        ),
+        "every goal left the table": episode(
+            records, attempts=(tried(records, "collision", look=elsewhere, moved_out=("pear",)),), goals_lost=1
+        ),
+        "no episode": episode(records, end="crashed", attempts=(), error="ValueError: x"),
+    }
+    for kind, record in cases.items():
+        assert records.why_failed(record)[0] == kind
+    assert records.why_failed(cases["grasps at a goal failed"])[1] == "collision 1, slipped 1"
+    assert records.why_failed(cases["every goal left the table"])[1] == "collision at lemon 1"
+    assert "taken for it: lemon 1" in records.why_failed(cases["a goal was in view, but not recognised"])[1]
+
+
+def test_a_torn_line_is_cut_off_and_the_file_goes_on(bench, tmp_path: Path) -> None:
+    records = bench("episode_records")
+    path = tmp_path / "episodes.jsonl"
+    log = records.RecordLog(path)
+    log.add(episode(records))
+    log.add(episode(records, seed=1))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-20])
+    again = records.RecordLog(path)
+    assert again.records == [episode(records)]
+    again.add(episode(records, seed=1))
+    assert path.read_bytes() == whole
+
+
+def test_episodes_are_recorded_reported_and_not_run_twice(
+    bench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    episodes = bench("episodes")
+    out = tmp_path / "episodes.jsonl"
+
+    def run() -> str:
+        episodes.main(tasks=("pear",), seeds=1, workers=2, size="224x224", out=out)
+        return capsys.readouterr().out
+
+    first = run()
+    records = bench("episode_records").RecordLog(out).records
+    assert {(r.task, r.preset) for r in records} == {("clutter-09-pear", "oracle"), ("clutter-09-pear", "offline")}
+    for r in records:
+        assert not r.error
+        assert r.goals == ("pear",)
+        assert r.steps == len(r.attempts) >= 1
+        assert r.success == any(t.is_goal_delivered for t in r.attempts)
+        assert all(t.look.is_goal_aimed for t in r.attempts if r.preset == "oracle" and t.look.role == "goal")
+        here = episodes.run_job(episodes.Job(r.task, r.seed, r.preset, r.size))
+        assert [(t.reason, t.look.aimed) for t in here.attempts] == [(t.reason, t.look.aimed) for t in r.attempts]
+    assert "## clutter, oracle" in first
+    assert "## clutter, offline" in first
+    assert "target 85 %" in first
+
+    monkeypatch.setattr(episodes, "run_job", None)
+    assert run() == first
+
+
+def test_grasping_prints_a_row_per_object(bench, capsys: pytest.CaptureFixture[str]) -> None:
+    bench("grasping").main(per_object=1, objects=("pear", "mug"), workers=1)
+    out = capsys.readouterr().out
+    assert "target 93 %" in out
+    for name in ("| pear | fruit |", "| mug | drinkware |"):
+        assert name in out
+
+
+def test_an_episode_is_asked_for_by_the_name_of_an_own_object(bench) -> None:
+    if not YCB.is_dir():
+        pytest.skip(f"{YCB} is not there")
+    own = bench("own_objects")
+    record = own.ask_for(own.Settings(YCB, "offline", (224, 224)), ("banana", 0))
+    assert record.instruction == "the banana"
+    assert record.goals == ("banana",)
+    assert record.n_objects == 11
+
+
+def test_the_parts_of_an_attempt_add_up_to_it(bench) -> None:
+    attempts = bench("attempts")
+    (timed,) = attempts.measure(attempts.Settings(attempts=1, objects=12))
+    assert sum(timed.parts.values()) == pytest.approx(timed.seconds)
+    assert all(seconds >= 0 for seconds in timed.parts.values())
+    assert timed.parts["physics"] > 0
+    assert timed.parts["rendering"] > 0
+    text = attempts.report([timed], 12)
+    assert "| motion planning |" in text
+    assert "target at most 1.5 s" in text
+
+
+def test_times_of_nested_calls_count_once(bench) -> None:
+    attempts = bench("attempts")
+
+    class Both:
+        def outer(self) -> int:
+            return self.inner() + 1
+
+        def inner(self) -> int:
+            return 1
+
+    watch = attempts.Stopwatch()
+    with watch.watching({"outer": (Both, ("outer",)), "inner": (Both, ("inner",))}):
+        assert Both().outer() == 2
+    assert set(watch.seconds) == {"outer"}
