@@ -30,7 +30,7 @@ Referee = Callable[[Decision, Outcome], bool]
 MAX_REPLANS = 6
 """So many things without a grasp are put aside in one step before the step gives up."""
 STILL_THERE_SHARE = 0.6
-STILL_THERE_M = 0.01
+STILL_THERE_M = 0.004
 """A thing is still there where this share of its pixels has not moved by more than this."""
 
 
@@ -128,7 +128,7 @@ def run_episode(
 
 
 def is_still_there(decision: Decision, after: Frame) -> bool:
-    """Whether a thing that is said to be removed is seen where it was; both frames are of one camera that stood still."""
+    """Whether a thing that is said to be removed is seen where it was; both frames are of one camera at rest."""
     if decision.target is None:
         return False
     before = decision.scene.frame.depth[decision.target.mask]

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from thinkgrasp.errors import ConfigError
-from thinkgrasp.geometry import apply
+from thinkgrasp.geometry import apply, make_transform
 from thinkgrasp.motion.cell import WORKSPACE_M
 from thinkgrasp.sim import catalogue, scenes
 from thinkgrasp.sim.goals import goals_in
+from thinkgrasp.sim.paper_cases import load_case
 from thinkgrasp.sim.piles import Pile
+from thinkgrasp.sim.scenes import is_takeable, published
 from thinkgrasp.sim.world import World
+
+
+SHARED = Path(__file__).parents[3] / "shared"
 
 
 def assert_lies_well(scene: scenes.PiledScene) -> None:
@@ -100,3 +108,42 @@ def test_more_objects_than_names_repeat_names():
 def test_impossible_requests_are_refused(kwargs, message):
     with pytest.raises(ConfigError, match=message):
         scenes.clutter("I need a fruit", 0, **kwargs)
+
+
+def turned(axis: str, degrees: float) -> np.ndarray:
+    return make_transform(Rotation.from_euler(axis, degrees, degrees=True).as_matrix(), np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("name", "axis", "degrees", "takeable"),
+    [
+        ("bowl", "x", 0, True),
+        ("bowl", "x", 180, False),
+        ("blue cup", "x", 180, True),
+        ("cracker box", "x", 0, True),
+        ("cracker box", "y", 90, False),
+        ("banana", "x", 180, True),
+    ],
+)
+def test_a_goal_must_have_something_to_hold(name: str, axis: str, degrees: float, takeable: bool):
+    obj = catalogue.make(name)
+    if name == "cracker box":  # so that the turn lays it on its largest face
+        thin = int(np.argmin(np.diff(obj.bounds_m, axis=0)[0]))
+        axis = {0: "y", 1: "x"}[thin]
+    assert is_takeable(obj, turned(axis, degrees)) == takeable
+
+
+@pytest.mark.parametrize("case", ["testing_cases/case09-pear", "heavy_unseen/case00-round"])
+def test_a_published_layout_becomes_a_pile(case: str):
+    file = SHARED / "paper_cases" / f"{case}.txt"
+    if not file.is_file():
+        pytest.skip("the published layouts are not beside this repository (../shared/paper_cases)")
+    layout = load_case(file)
+    scene = published(layout)
+    assert (scene.spec.instruction, scene.spec.goals) == (layout.instruction, layout.goals)
+    assert [o.name for o in scene.spec.objects] == list(layout.names)
+    assert len(scene.poses) == len(layout.names)
+    x, y = scene.poses[:, 0, 3], scene.poses[:, 1, 3]
+    assert (np.abs(x - 0.5) < 0.25).all()
+    assert (np.abs(y) < 0.25).all()
+    assert len(scene.visible_fractions) == len(layout.goals)

@@ -16,7 +16,7 @@ from thinkgrasp.errors import InputError
 from thinkgrasp.geometry import apply, deproject, invert, make_transform
 from thinkgrasp.motion.arm import ArmMotion
 from thinkgrasp.motion.cell import BIN, HOME_RAD
-from thinkgrasp.motion.robotiq_2f85 import STROKE_M, tip_reach
+from thinkgrasp.motion.robotiq_2f85 import PAD_HALF_M, STROKE_M, flange_to_tip, tip_reach
 from thinkgrasp.motion.trajectory import Trajectory
 from thinkgrasp.sim.world import GRIP_FORCE_N, TIMESTEP_S, World
 from thinkgrasp.types import Frame, Grasp, Outcome
@@ -113,14 +113,14 @@ class SimulatedRobot:
         self._close()
         grasped = self.world.held()
         self.truth = Truth(grasped, None)
-        before = None if grasped is None else self._in_hand(grasped)
+        grip = None if grasped is None else self._grip_point(grasped)
         try:
             self._follow(plan.lift, held=grasped)
         except Stopped:
             self._release()
             self._back_out(plan.lift.end)
             return Outcome(False, "collision")
-        if grasped is None or before is None or not self._still_holds(grasped, before):
+        if grasped is None or grip is None or not self._still_holds(grasped, grip):
             self._release()
             self._go_home(cloud)
             return Outcome(False, "missed" if grasped is None else "slipped")
@@ -129,7 +129,7 @@ class SimulatedRobot:
 
     def _deliver(self, held: int, cloud: Float, taken_at_z: float) -> Outcome:
         """Carry what is held to the bin, high enough for all that may hang below the fingers, and let it go."""
-        before = self._in_hand(held)
+        grip = self._grip_point(held)
         poses = np.stack([_over_bin(yaw, taken_at_z + BIN.height_m + 0.03) for yaw in _YAWS])
         opening = self.world.opening()
         way = self.motion.plan_to_poses(self.world.joints(), poses, opening, cloud)
@@ -143,7 +143,7 @@ class SimulatedRobot:
             self._release()
             self._back_out(np.array(HOME_RAD))
             return Outcome(False, "collision")
-        if not self._still_holds(held, before):
+        if not self._still_holds(held, grip):
             self._release()
             self._go_home(cloud)
             return Outcome(False, "slipped")
@@ -155,13 +155,20 @@ class SimulatedRobot:
 
     # -- verification ------------------------------------------------------------------------------------------------
 
-    def _in_hand(self, index: int) -> Float:
-        """Position (3,) of an object's centre in the flange frame."""
-        return apply(invert(self.world.flange()), self.world.center(index))
+    def _grip_point(self, index: int) -> Float:
+        """The point (3,) of an object that is between the pads now, in its own frame."""
+        return apply(invert(self.world.pose(index)), self._between_pads())
 
-    def _still_holds(self, index: int, before: Float) -> bool:
+    def _between_pads(self) -> Float:
+        T_flange_pads = flange_to_tip(self.world.opening())
+        T_flange_pads[2, 3] -= PAD_HALF_M[2]
+        return (self.world.flange() @ T_flange_pads)[:3, 3]
+
+    def _still_holds(self, index: int, grip: Float) -> bool:
+        """Whether an object touches both fingers, and what was between them has stayed there; it may have turned."""
         right, left = self.world.pad_contacts()
-        return index in right & left and float(np.linalg.norm(self._in_hand(index) - before)) <= SLIP_M
+        moved = apply(self.world.pose(index), grip) - self._between_pads()
+        return index in right & left and float(np.linalg.norm(moved)) <= SLIP_M
 
     # -- motion ------------------------------------------------------------------------------------------------------
 

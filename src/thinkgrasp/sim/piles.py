@@ -57,6 +57,10 @@ class Pile:
         """Let an object fall at xy (2,) with a random orientation, from above all that lies or falls there."""
         self._fall(index, np.clip(xy, *np.transpose(_INNER)), self._random_rotation(), FALL_M)
 
+    def drop_at(self, index: int, T_world_object: Float) -> None:
+        """Let an object fall from a given pose (4, 4), from higher where something is in the way."""
+        self._fall(index, T_world_object[:2, 3], T_world_object[:3, :3], FALL_M)
+
     def scatter(self, index: int) -> None:
         """Let an object fall anywhere over the middle of the workspace."""
         self.drop(index, np.array([self.rng.uniform(*side) for side in SCATTER_M]))

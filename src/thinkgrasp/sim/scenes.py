@@ -6,7 +6,7 @@ and never assumed; a pile that is not as requested is thrown away and another is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -19,6 +19,7 @@ from thinkgrasp.errors import ConfigError, InputError
 from thinkgrasp.sim import catalogue
 from thinkgrasp.sim.goals import goals_in
 from thinkgrasp.sim.objects import SimObject
+from thinkgrasp.sim.paper_cases import Layout
 from thinkgrasp.sim.piles import SCATTER_M, Pile
 from thinkgrasp.sim.truth import visible_fraction
 from thinkgrasp.sim.views import default_view
@@ -38,6 +39,8 @@ CLUTTER_OBJECTS = (8, 15)
 HIDING_OBJECTS = 12
 """Fewer clutter objects seldom hide a goal completely."""
 HEAVY_OBJECTS = (20, 30)
+TAKEABLE_M = 0.078
+"""Widest side that fits between the fingers with room to spare."""
 SELECTIONS, TRIES_PER_SELECTION = 40, 2
 """How often objects are chosen, and piles made of the same objects, before it is given up."""
 VIEW_SIZE = (224, 224)
@@ -133,6 +136,30 @@ def heavy(
     return make_pile(instruction, select, seed, visibility)
 
 
+def published(layout: Layout, *, seed: int = 0, own: Mapping[str, SimObject] | None = None) -> PiledScene:
+    """Drop the objects of a published layout as its file says, with the same instruction and goals.
+
+    Catalogue objects of the same kind stand in for the published ones, so that the pile is alike, not equal. What falls
+    out of the workspace is put back.
+
+    Args:
+        layout: From `thinkgrasp.sim.paper_cases.load_case`.
+        seed: Of the stand-ins' variation, and of where things are put back.
+        own: Objects to use instead of stand-ins, by published id.
+
+    Raises:
+        InputError: `own` names an id that the layout does not have, or the pile does not come to rest.
+    """
+    objects = layout.objects(seed, own)
+    pile = Pile(World(objects, robot=False), _rng(seed, layout.name))
+    for index, T in enumerate(layout.poses):
+        pile.drop_at(index, T)
+    if not pile.settle():
+        raise InputError(f"the pile of {layout.name!r} does not come to rest inside the workspace with seed {seed}")
+    spec = SceneSpec(layout.instruction, objects, layout.goals, pile.drops, seed, None)
+    return PiledScene(spec, pile.world.poses(), _shares(pile.world, layout.goals), 1)
+
+
 def choose(
     instruction: str, n_objects: int, n_goals: int, pool: Pool, rng: Generator, own: Sequence[SimObject] = ()
 ) -> Selection:
@@ -163,7 +190,7 @@ def choose(
 def make_pile(
     instruction: str, select: Callable[[Generator], Selection], seed: int, visibility: Visibility | None
 ) -> PiledScene:
-    """Make piles until one is at rest inside the workspace with its goals as visible as asked for.
+    """Make piles until one is at rest inside the workspace with its goals takeable and as visible as asked for.
 
     Args:
         instruction: What will be asked for.
@@ -188,13 +215,29 @@ def make_pile(
             if not _pour(pile, selection, visibility):
                 continue
             shares = _shares(world, selection.goals)
-            if all(low <= share <= high for share in shares):
+            takeable = all(is_takeable(selection.objects[g], world.pose(g)) for g in selection.goals)
+            if takeable and all(low <= share <= high for share in shares):
                 spec = SceneSpec(instruction, selection.objects, selection.goals, pile.drops, seed, visibility)
                 return PiledScene(spec, world.poses(), shares, tries)
     wanted = f"with the goal {visibility}" if visibility else "inside the workspace"
     raise InputError(
         f"no pile {wanted} came out for {instruction!r} in {tries} tries; take another seed or more objects"
     )
+
+
+def is_takeable(obj: SimObject, T_world_object: Float) -> bool:
+    """Whether a two-finger gripper can take a thing as it lies, if nothing is in the way.
+
+    A wide vessel has to show its rim: upside down there is nothing to hold. A plain box must not lie on a face of which
+    both sides are wider than the gripper opens.
+    """
+    sides = np.diff(obj.bounds_m, axis=0)[0]
+    if "rim" in obj.parts:
+        return bool(np.sort(sides)[1] <= TAKEABLE_M or T_world_object[2, 2] > 0.5)
+    if len(obj.collisions) == 1 and obj.collisions[0].shape == "box":
+        level = np.abs(T_world_object[2, :3]) < 0.7
+        return bool((sides[level] <= TAKEABLE_M).any())
+    return True
 
 
 def _pour(pile: Pile, selection: Selection, visibility: Visibility | None) -> bool:

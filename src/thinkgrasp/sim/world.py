@@ -22,7 +22,7 @@ from thinkgrasp.geometry import make_transform
 from thinkgrasp.motion.arm_spec import ARM_JOINTS, GRIPPER_JOINTS, PADS, add_arm
 from thinkgrasp.motion.arm_spec import GROUP as ROBOT_GROUP
 from thinkgrasp.motion.cell import BIN, HOME_RAD, STATICS, StaticBox
-from thinkgrasp.motion.robotiq_2f85 import CLOSED_RAD, crank_angle, opening
+from thinkgrasp.motion.robotiq_2f85 import CLOSED_RAD, STROKE_M, crank_angle, opening
 from thinkgrasp.sim.objects import CollisionPiece, SimObject, VisualPiece
 
 TIMESTEP_S = 0.002
@@ -186,7 +186,7 @@ class World:
     def opening(self) -> float:
         """Return the opening between the pads [m]."""
         right, left = self.data.qpos[len(ARM_JOINTS)], self.data.qpos[len(ARM_JOINTS) + 2]
-        return float((opening(right) + opening(left)) / 2)
+        return float(np.clip((opening(right) + opening(left)) / 2, 0.0, STROKE_M))
 
     def set_joints(self, q: NDArray[np.float64], opening_m: float) -> None:
         """Put the arm at rest at joint angles (6,) with a gripper opening, without passing through time."""
