@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import socket
 from importlib.metadata import EntryPoint
 
 import pytest
 
 from thinkgrasp import registry, testing
 from thinkgrasp.cameras.saving import save_frame
+from thinkgrasp.episode import EpisodeHeader
+from thinkgrasp.gripper import GRIPPERS
 
 STAGES = {
     "scene": testing.check_scene,
@@ -32,9 +35,45 @@ def test_file_camera_keeps_its_contract(tmp_path):
     testing.check_camera(registry.load("camera", "files", color=color, depth=depth, camera=camera))
 
 
-def test_no_kind_is_left_out():
-    untested = set(registry.KINDS) - set(STAGES) - {"camera"}
-    assert all(not registered(kind) for kind in untested), "a kind has plug-ins, but no contract test here"
+GRIPPER = GRIPPERS["robotiq_2f85"]
+
+
+def empty_cell() -> object:
+    pytest.importorskip("mujoco", reason="needs thinkgrasp[sim]")
+    from thinkgrasp.sim.world import World
+
+    return World([])
+
+
+def test_simulated_camera_keeps_its_contract():
+    testing.check_camera(registry.load("camera", "simulated", world=empty_cell()))
+
+
+def test_simulated_robot_keeps_its_contract():
+    testing.check_robot(registry.load("robot", "simulated", world=empty_cell()))
+
+
+def test_episode_recorder_keeps_its_contract(tmp_path):
+    header = EpisodeHeader(instruction="the red box", goal="", preset="offline", seed=0)
+    testing.check_recorder(registry.load("recorder", "episode", folder=tmp_path, header=header, gripper=GRIPPER))
+
+
+def test_live_view_keeps_its_contract():
+    pytest.importorskip("viser", reason="needs thinkgrasp[viz]")
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        port = s.getsockname()[1]
+    view = registry.load("recorder", "live", gripper=GRIPPER, port=port)
+    try:
+        testing.check_recorder(view)
+    finally:
+        view.close()
+
+
+def test_nothing_is_left_out():
+    tested = {"camera": {"files", "simulated"}, "robot": {"simulated"}, "recorder": {"episode", "live"}}
+    for kind in set(registry.KINDS) - set(STAGES):
+        assert set(registered(kind)) <= tested[kind], "a plug-in has no contract test here"
 
 
 def test_each_preset_names_registered_plugins():

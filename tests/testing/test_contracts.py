@@ -10,7 +10,7 @@ import pytest
 from fakes.stages import FakeCheck, FakeGenerator, FakePlanner, FakeScene, FakeSegmenter, table_frame
 
 from thinkgrasp import testing
-from thinkgrasp.errors import ContractError, InputError
+from thinkgrasp.errors import ConfigError, ContractError, InputError
 from thinkgrasp.types import Degradation, Frame, Grasps, Obstruction, Outcome, Plan, PlannedObject, Scene
 
 
@@ -305,6 +305,73 @@ def test_broken_devices():
     ):
         with pytest.raises(ContractError, match=message):
             check(plugin)
+
+
+class ScriptedRobot:
+    """Answers with what a function of the grasp's distance and the frame says."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def execute(self, grasp, frame):
+        return self.answer(float(np.linalg.norm(grasp.position)), frame)
+
+
+def needs_pose(distance, frame):
+    if frame.T_world_camera is None:
+        raise InputError("where is the camera?")
+    return Outcome(False, "unreachable")
+
+
+def fails_far_away(distance, frame):
+    if distance > 3:
+        raise ValueError("no solution")
+    return Outcome(True, "held")
+
+
+def fails_without_pose(distance, frame):
+    return Outcome(True, "held") if frame.T_world_camera.shape == (4, 4) else None
+
+
+def test_robots_may_ask_for_the_cameras_pose():
+    testing.check_robot(ScriptedRobot(needs_pose))
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (fails_far_away, r"5 m away\) raised ValueError: no solution"),
+        (fails_without_pose, "without camera pose.* raised AttributeError"),
+        (lambda *_: None, "must return Outcome, got NoneType"),
+        (lambda *_: Outcome(True, "missed"), "success is told as 'held'"),
+        (lambda *_: Outcome(False, "held"), "success is told as 'held'"),
+        (lambda *_: Outcome(False, "It slipped."), "reason must name"),
+        (lambda *_: Outcome(1, "held"), "success must be bool, got int"),
+    ],
+)
+def test_broken_robots(answer, message):
+    with pytest.raises(ContractError, match=message):
+        testing.check_robot(ScriptedRobot(answer))
+
+
+class NeedsPose(FakeCheck):
+    def keep(self, scene, target, grasps, gripper):
+        if scene.frame.T_world_camera is None:
+            raise ConfigError("where is the camera?")
+        return super().keep(scene, target, grasps, gripper)
+
+
+def test_checks_may_ask_for_the_cameras_pose():
+    testing.check_check(NeedsPose())
+
+
+def test_checks_may_not_stumble_over_a_missing_pose():
+    class Stumbles(FakeCheck):
+        def keep(self, scene, target, grasps, gripper):
+            return super().keep(scene, target, grasps, gripper) & (scene.frame.T_world_camera[0, 0] < 2)
+
+    with pytest.raises(ContractError, match=r"without camera pose.* raised TypeError"):
+        testing.check_check(Stumbles())
 
 
 def test_samples_are_what_they_say():

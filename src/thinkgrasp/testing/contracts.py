@@ -6,14 +6,14 @@ Each function returns None or raises ContractError: what was called, what came b
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import TypeVar, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thinkgrasp import interfaces
-from thinkgrasp.errors import ContractError
+from thinkgrasp.errors import ConfigError, ContractError, InputError
 from thinkgrasp.gripper import GRIPPERS
 from thinkgrasp.memory import Memory
 from thinkgrasp.testing.scenes import empty_scene, sample_frame, sample_scene, strict_scene
@@ -131,9 +131,10 @@ def check_generator(plugin: interfaces.GraspGenerator) -> None:
 
 
 def check_check(plugin: interfaces.Check) -> None:
-    """Check a grasp check on many grasps, on none, and in strict mode."""
+    """Check a grasp check on many grasps, on none, in strict mode, and without camera pose, which it may refuse."""
     _has(plugin, interfaces.Check)
     full = sample_scene()
+    somewhere = replace(full, frame=sample_frame(pose=False))
     for proposal in full.proposals[:3]:
         target = Segment("thing", 1.0, proposal.mask, proposal.box_xyxy, proposal.touches_border, proposal.mark)
         for what, scene in (("ten things", full), ("strict mode", strict_scene())):
@@ -146,6 +147,17 @@ def check_check(plugin: interfaces.Check) -> None:
                     np.ndarray,
                 )
                 _array(call, "the result", keep, (len(grasps),), np.bool_)
+        grasps = _top_down_grasps(full, proposal)
+        call = f"keep(a frame without camera pose, mark {proposal.mark}, {len(grasps)} grasps)"
+        answer = _run(
+            call,
+            lambda t=target, g=grasps: _unless_refused(lambda: plugin.keep(somewhere, t, g, _GRIPPER)),
+            (somewhere, target, grasps),
+            object,
+        )
+        if not isinstance(answer, _Refusal):
+            _rule(isinstance(answer, np.ndarray), call, f"must return ndarray, got {type(answer).__name__}")
+            _array(call, "the result", cast(Mask, answer), (len(grasps),), np.bool_)
 
 
 def check_camera(plugin: interfaces.Camera) -> None:
@@ -159,13 +171,34 @@ def check_camera(plugin: interfaces.Camera) -> None:
 
 
 def check_robot(plugin: interfaces.Robot) -> None:
-    """Check a robot by one grasp on a table top. It MOVES: give it a simulated or disconnected arm."""
+    """Check a robot by grasps on a table top, from below it and far away, and by a frame without camera pose.
+
+    It MOVES: give it a simulated or disconnected arm. Only the missing pose may be refused; what a grasp came to is
+    always told by an outcome.
+    """
     _has(plugin, interfaces.Robot)
     scene = sample_scene()
     grasp = _top_down_grasps(scene, scene.proposals[0]).at(0)
-    outcome = _run("execute(a top-down grasp)", lambda: plugin.execute(grasp, scene.frame), (grasp, scene), Outcome)
-    _rule(isinstance(outcome.success, bool), "execute", f"success must be bool, got {type(outcome.success).__name__}")
-    _rule(bool(outcome.reason.strip()), "execute", "reason must name what became of the grasp")
+    grasps = {
+        "a top-down grasp": grasp,
+        "a grasp from under the table": replace(grasp, rotation=grasp.rotation @ np.diag([1.0, -1.0, -1.0])),
+        "a grasp 5 m away": replace(grasp, position=grasp.position + np.array([0.0, 0.0, 5.0])),
+    }
+    for what, g in grasps.items():
+        call = f"execute({what})"
+        outcome = _run(call, lambda g=g: plugin.execute(g, scene.frame), (g, scene), Outcome, deterministic=False)
+        _check_outcome(call, outcome)
+    call, frame = "execute(a frame without camera pose)", sample_frame(pose=False)
+    answer = _run(
+        call,
+        lambda: _unless_refused(lambda: plugin.execute(grasp, frame)),
+        (grasp, frame),
+        object,
+        deterministic=False,
+    )
+    if not isinstance(answer, _Refusal):
+        _rule(isinstance(answer, Outcome), call, f"must return Outcome, got {type(answer).__name__}")
+        _check_outcome(call, cast(Outcome, answer))
 
 
 def check_recorder(plugin: interfaces.Recorder) -> None:
@@ -252,6 +285,14 @@ def _check_grasps(call: str, grasps: Grasps) -> None:
         _rule(ok, call, f"Grasps.{name} must be in 0..{high:g}")
 
 
+def _check_outcome(call: str, outcome: Outcome) -> None:
+    _rule(isinstance(outcome.success, bool), call, f"success must be bool, got {type(outcome.success).__name__}")
+    reason = outcome.reason
+    named = isinstance(reason, str) and reason.isidentifier() and reason.islower()
+    _rule(named, call, f"reason must name what became of the grasp, as 'held' or 'missed', got {reason!r}")
+    _rule(outcome.success == (reason == "held"), call, f"success is told as 'held' and nothing else is, got {outcome}")
+
+
 def _check_degraded(call: str, degraded: tuple[Degradation, ...]) -> None:
     for d in degraded:
         _rule(bool(d.stage and d.reason and d.fallback), call, f"{d} must name stage, reason and fallback")
@@ -308,6 +349,20 @@ def _run(call: str, function: Callable[[], T], given: object, kind: type[T], *, 
     if deterministic:
         _rule(_equal(result, _guard(call, function)), call, "the same input gave another result the second time")
     return result
+
+
+@dataclass(frozen=True)
+class _Refusal:
+    """A plug-in's word that it cannot do without what is missing."""
+
+    message: str
+
+
+def _unless_refused(function: Callable[[], object]) -> object:
+    try:
+        return function()
+    except (ConfigError, InputError) as error:
+        return _Refusal(str(error))
 
 
 def _arrays(value: object) -> list[NDArray[np.generic]]:
