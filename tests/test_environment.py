@@ -110,6 +110,25 @@ def test_info_makes_the_same_pile_again():
     assert len(info["goals"]) == len(info["visible"]) >= 1
 
 
+def test_a_seed_without_a_pile_is_passed_over(monkeypatch):
+    asked: list[int] = []
+
+    def scene(task: Task, seed: int, visibility: scenes.Visibility | None = None) -> scenes.PiledScene:
+        asked.append(seed)
+        if len(asked) < 3:
+            raise InputError("no pile came out")
+        return two_things(task.instruction, seed)
+
+    monkeypatch.setattr(Task, "scene", scene)
+    _, info = make().reset(seed=0)
+    assert info["scene_seed"] == asked[2]
+    assert len(set(asked)) == 3
+    asked.clear()
+    with pytest.raises(InputError, match="no pile"):
+        make().reset(options={"scene_seed": 4})
+    assert asked == [4]
+
+
 def test_goal_as_hidden_as_asked_for():
     _, info = make().reset(seed=0, options={"task": "pear", "visibility": "partly"})
     low, high = scenes.VISIBLE_SHARE["partly"]

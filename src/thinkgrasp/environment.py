@@ -33,7 +33,7 @@ try:
     from thinkgrasp.cameras.simulated import default_workspace
     from thinkgrasp.robots.simulated import Truth
     from thinkgrasp.sim.render import FAR_M, render
-    from thinkgrasp.sim.scenes import Visibility
+    from thinkgrasp.sim.scenes import PiledScene
     from thinkgrasp.sim.tasks import STEP_LIMIT, TASKS, Suite, Task, find_task
     from thinkgrasp.sim.truth import visible_fraction
     from thinkgrasp.sim.views import default_view, film_view
@@ -50,6 +50,8 @@ PIXEL_DEPTH_M = 0.02
 LOWEST_TIP_M = 0.005
 """The fingertips of a pixel action stay this far above the table."""
 INSTRUCTION_CHARS = 200
+SEEDS_TO_TRY = 4
+"""Piles that may fail before `reset` does."""
 _PRINTABLE = "".join(map(chr, range(32, 127)))
 _OPTIONS = ("task", "visibility", "scene_seed")
 
@@ -181,11 +183,11 @@ class GraspingEnv(gymnasium.Env[Observation, NDArray[Any]]):
 
         Raises:
             ConfigError: An option is unknown or has a value that is not allowed.
-            InputError: No pile came out as asked for.
+            InputError: No pile came out as asked for; with a random seed, not with SEEDS_TO_TRY of them.
         """
         super().reset(seed=seed)
-        task, scene_seed, visibility = self._draw(options or {})
-        session = Session(task.scene(scene_seed, visibility), self._camera, seed=scene_seed)
+        task, scene = self._draw(options or {})
+        session = Session(scene, self._camera, seed=scene.spec.seed)
         self._running = _Episode(task, session, session.cameras[0].read())
         return self._observation(), self._info(None)
 
@@ -214,21 +216,32 @@ class GraspingEnv(gymnasium.Env[Observation, NDArray[Any]]):
         world = self.session.world
         return render(world.model, world.data, film_view(), world.visuals).color
 
-    def _draw(self, options: dict[str, Any]) -> tuple[Task, int, Visibility | None]:
-        """Choose task and seed of a pile; both are drawn even where an option says otherwise."""
+    def _draw(self, options: dict[str, Any]) -> tuple[Task, PiledScene]:
+        """Choose a task and make a pile; a few seeds give none as asked for, then the next one is drawn."""
         if unknown := sorted(set(options) - set(_OPTIONS)):
             raise ConfigError(f"unknown option of reset: {', '.join(unknown)}; allowed are {', '.join(_OPTIONS)}")
         own = [task for task in TASKS if task.suite == self.suite]
         task = own[int(self.np_random.integers(len(own)))]
-        scene_seed = options.get("scene_seed", int(self.np_random.integers(2**31)))
         if "task" in options:
             task = find_task(options["task"])
         if task not in own:
             names = ", ".join(t.name for t in own)
             raise ConfigError(f"{task.name!r} is no task of {IDS[self.suite]}; its tasks are {names}")
-        if not isinstance(scene_seed, int):
-            raise ConfigError(f"scene_seed must be a whole number, got {scene_seed!r}")
-        return task, scene_seed, options.get("visibility")
+        visibility = options.get("visibility")
+        if "scene_seed" in options:
+            scene_seed = options["scene_seed"]
+            if not isinstance(scene_seed, int):
+                raise ConfigError(f"scene_seed must be a whole number, got {scene_seed!r}")
+            return task, task.scene(scene_seed, visibility)
+        for _ in range(SEEDS_TO_TRY - 1):
+            try:
+                return task, task.scene(self._scene_seed(), visibility)
+            except InputError:
+                continue
+        return task, task.scene(self._scene_seed(), visibility)
+
+    def _scene_seed(self) -> int:
+        return int(self.np_random.integers(2**31))
 
     def _attempt(self, action: NDArray[np.floating]) -> Attempt:
         values = np.asarray(action, np.float32)
