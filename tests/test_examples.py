@@ -14,6 +14,7 @@ SAYS = {
     "01_grasp_from_files.py": "'the red box': grasp",
     "02_why_this_grasp.py": "times [ms]:",
     "03_your_own_planner.py": "the planner keeps its contract",
+    "05_gymnasium.py": "reward 1.0",
     "04_decision_as_json.py": "schema thinkgrasp/decision-1, status grasp",
 }
 

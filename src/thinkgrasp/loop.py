@@ -159,6 +159,8 @@ def _decide(
                 other = pipeline.decide(camera.read(), instruction, memory)
                 if other.grasp is not None:
                     return other, memory
+                if other.status == "no_grasp":
+                    memory = _remember(memory, other, Outcome(False, "no_grasp"))
         if decision.status == "no_target" or replans == MAX_REPLANS:
             break
         memory = _remember(memory, decision, Outcome(False, "no_grasp"))

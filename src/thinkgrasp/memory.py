@@ -67,12 +67,19 @@ class Memory:
         That is so when no grasp on it survived the checks, and after MAX_FAILURES failed attempts, each time until
         something else was removed; a thing that failed so often gets one more attempt after each removal.
         """
+        if self.has_no_grasp(proposal):
+            return True
+        return bool(self._recent(proposal)) and len(self.failures_at(proposal)) >= MAX_FAILURES
+
+    def has_no_grasp(self, proposal: Proposal) -> bool:
+        """Whether no grasp on a thing survived the checks since something was removed last."""
+        return any(a.grasp is None for a in self._recent(proposal))
+
+    def _recent(self, proposal: Proposal) -> list[Attempt]:
+        """Return the failures at a thing since something was removed last."""
         removals = [i for i, a in enumerate(self.attempts) if a.outcome.success]
         since = removals[-1] + 1 if removals else 0
-        recent = [a for a in self.attempts[since:] if _failed_at(a, proposal, SAME_PLACE_M)]
-        if any(a.grasp is None for a in recent):
-            return True
-        return bool(recent) and len(self.failures_at(proposal)) >= MAX_FAILURES
+        return [a for a in self.attempts[since:] if _failed_at(a, proposal, SAME_PLACE_M)]
 
     def repeats(self, grasps: Grasps) -> NDArray[np.bool_]:
         """Return (N,) True for grasps that failed before: the same place and orientation, either way round."""

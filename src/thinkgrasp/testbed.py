@@ -97,6 +97,7 @@ class Session:
         stop: Callable[[], bool] = lambda: False,
     ) -> SimulatedEpisode:
         """Run the loop until a goal is in the bin, or it ends otherwise."""
+        before = len(self.robot.attempts)
         episode = loop.run_episode(
             self.cameras,
             pipeline,
@@ -107,7 +108,7 @@ class Session:
             recorders=recorders,
             stop=stop,
         )
-        return SimulatedEpisode(episode, tuple(self.robot.attempts), self.goals)
+        return SimulatedEpisode(episode, tuple(self.robot.attempts[before:]), self.goals)
 
 
 class _Witness:

@@ -127,7 +127,6 @@ def test_a_thing_that_was_not_seen_stops_the_arm():
     assert is_home(world)
 
 
-@pytest.mark.xfail(strict=True, reason="after a stop on the way to the pre-grasp the arm goes on to it, unguarded")
 def test_a_stopped_arm_does_not_push_on():
     world, frame = hidden_wall()
     assert SimulatedRobot(world).execute(GOOD, frame).reason == "collision"

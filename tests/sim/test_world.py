@@ -104,7 +104,6 @@ def test_objects_are_where_they_are_put():
     assert world.is_parked(0)
 
 
-@pytest.mark.xfail(strict=True, reason="parked things are inside the floor, a half-space, and are shot out of it")
 def test_what_is_out_of_the_world_stays_there():
     world = World([BLOCK, ball(0.03, BLUE)], robot=False)
     before = world.poses()

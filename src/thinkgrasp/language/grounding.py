@@ -66,6 +66,8 @@ class Grounding:
     """What could not be judged."""
     lone_share: float = DEFAULT_WEIGHTS.lone_described
     """Share of the least score that is enough for a described thing that stands out."""
+    names_are_known: bool = False
+    """Whether the labels name the things whatever their score."""
 
     def fitting(self, min_score: float = MIN_SCORE) -> tuple[Match, ...]:
         """Return the matches that answer to the query: those above the score, or else the one that stands out.

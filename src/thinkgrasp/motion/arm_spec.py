@@ -94,7 +94,7 @@ def _add_gripper(palm: mujoco.MjsBody) -> None:
         _box(finger, (s * back_x / 2, 0, 0.0), (abs(back_x) / 2 + 0.004, 0.009, 0.007), 0.02, _DARK)
         pad = _box(finger, (s * pad_x, 0, pad_z), linkage.PAD_HALF_M, 0.02, _DARK)
         pad.name = f"{side}_pad"
-        pad.friction, pad.condim = (0.2, 0.01, 0.0001), 4
+        pad.friction, pad.condim = (0.01, 0.01, 0.0001), 4
         pad.solref, pad.solmix = (0.004, 1.0), 1000.0
 
 

@@ -133,12 +133,14 @@ def likely_hider(
 
 
 def next_to_clear(scene: Scene, skip: Collection[int] = ()) -> Hider | None:
-    """Find the thing to remove where nothing in particular is known to hide the goal: free, whole, and the highest."""
-    found = [
-        Hider(p.mark, p.height_m[1] * p.confidence, f"it is free and {p.height_m[1]:.2f} m high", False)
-        for p in scene.proposals
-        if p.mark not in skip and p.confidence >= MIN_CONFIDENCE and not in_the_way(scene, p.mark, skip)
-    ]
+    """Find the thing to remove where nothing in particular is known to hide the goal: high, whole, free if any."""
+    found: list[Hider] = []
+    for p in scene.proposals:
+        if p.mark in skip or p.confidence < MIN_CONFIDENCE:
+            continue
+        free = not in_the_way(scene, p.mark, skip)
+        reason = f"it is {'free and ' if free else ''}{p.height_m[1]:.2f} m high"
+        found.append(Hider(p.mark, float(free) + p.height_m[1] * p.confidence, reason, suspected=False))
     return max(found, key=lambda h: (h.score, -h.mark), default=None)
 
 

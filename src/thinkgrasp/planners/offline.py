@@ -87,9 +87,10 @@ class OfflinePlanner:
             listed = f" ({_quoted(query.unknown)})" if query.unknown else ""
             reason = f"the instruction names nothing that I understand{listed}"
             return self._nothing(query, f"{reason}; in view: {self._in_view(scene)}")
-        grounding = _without_failures(self._ground(scene, query), scene, memory)
+        grounding = self._ground(scene, query)
         worn_out = {p.mark for p in scene.proposals if memory.is_worn_out(p)}
-        fitting = [m for m in grounding.fitting(self.min_score) if self._is_sure(scene.proposal(m.mark), scene, m)]
+        sure = [m for m in grounding.fitting(self.min_score) if self._is_sure(scene.proposal(m.mark), scene, m)]
+        fitting = _failures_last(sure, scene, memory)
         goal = _goal([m for m in fitting if m.mark not in worn_out], scene, worn_out)
         if goal is None:
             return self._search(scene, query, grounding, fitting, memory, worn_out)
@@ -157,7 +158,7 @@ class OfflinePlanner:
             best = grounding.matches[0]
             closest = f"(closest: {names[best.mark]} with {best.score:.2f})"
             missing = f"nothing in view answers to {query.label!r} {closest}"
-        hider = self._hider(scene, query, worn_out | {m.mark for m in fitting})
+        hider = self._hider(scene, query, fitting, memory, worn_out)
         if hider is None and fitting:
             return self._take_goal(scene, query, grounding, fitting[0], memory)
         if hider is None:
@@ -179,14 +180,22 @@ class OfflinePlanner:
             degraded=spot.degraded,
         )
 
-    def _hider(self, scene: Scene, query: Query, skip: set[int]) -> Hider | None:
+    def _hider(
+        self, scene: Scene, query: Query, fitting: Sequence[Match], memory: Memory, worn_out: set[int]
+    ) -> Hider | None:
+        """Return what to clear; None where the goal is to be tried again, or nothing can be cleared."""
+        goals = {m.mark for m in fitting}
+        skip = worn_out | goals
         size = _smallest_size(query)
         hider = None
         if size is not None:
             hider = likely_hider(scene, *size, in_piles_only=self.search == "piles", skip=skip)
         elif any(w.colors or w.shapes for w in query.wanted):
             hider = likely_hider(scene, 0.08, 0.03, in_piles_only=True, skip=skip)
-        return next_to_clear(scene, skip) if hider is None and self.search == "all" else hider
+        if hider is not None or self.search != "all":
+            return hider
+        stuck = {p.mark for p in scene.proposals if memory.has_no_grasp(p)}
+        return next_to_clear(scene, skip) or (None if goals - stuck else next_to_clear(scene, stuck | goals))
 
     def _nothing(self, query: Query, rationale: str) -> Plan:
         middle = (self.grid**2 + 1) // 2
@@ -296,17 +305,18 @@ def _gripper_fit(thing: Proposal, max_width_m: float) -> float:
     return 1.0 if over <= 0.9 else max(0.1, 1 - 2 * (over - 0.9))
 
 
-def _without_failures(grounding: Grounding, scene: Scene, memory: Memory) -> Grounding:
-    matches = [
-        replace(m, score=m.score * FAILURE_PENALTY ** len(memory.failures_at(scene.proposal(m.mark))))
-        for m in grounding.matches
+def _failures_last(matches: Sequence[Match], scene: Scene, memory: Memory) -> list[Match]:
+    """Return the matches by score, each less by FAILURE_PENALTY per failed attempt at it."""
+    less = [
+        replace(m, score=m.score * FAILURE_PENALTY ** len(memory.failures_at(scene.proposal(m.mark)))) for m in matches
     ]
-    return replace(grounding, matches=tuple(sorted(matches, key=lambda m: (-m.score, m.mark))))
+    return sorted(less, key=lambda m: (-m.score, m.mark))
 
 
 def _names(scene: Scene, grounding: Grounding, min_score: float) -> dict[int, str]:
     """Return a readable name per mark: as asked for, else a plain one."""
-    asked = {m.mark: m.label for m in grounding.fitting(min_score)}
+    named = grounding.matches if grounding.names_are_known else grounding.fitting(min_score)
+    asked = {m.mark: m.label for m in named}
     return plain_names(scene) | asked
 
 

@@ -17,7 +17,8 @@ from thinkgrasp.geometry import apply, deproject, invert, make_transform
 from thinkgrasp.motion.arm import ArmMotion
 from thinkgrasp.motion.cell import BIN, HOME_RAD
 from thinkgrasp.motion.robotiq_2f85 import PAD_HALF_M, STROKE_M, flange_to_tip, tip_reach
-from thinkgrasp.motion.trajectory import Trajectory
+from thinkgrasp.motion.trajectory import Trajectory, time_path
+from thinkgrasp.motion.ur5e import LIMITS
 from thinkgrasp.sim.world import GRIP_FORCE_N, TIMESTEP_S, World
 from thinkgrasp.types import Frame, Grasp, Outcome
 
@@ -31,6 +32,8 @@ CLEARANCE_M = 0.007
 """Room that grasps leave between an open finger and the thing."""
 FURTHER_M = 0.005
 """By how much a thing may be thinner than the grasp takes it for."""
+MAX_RETREAT_M = 0.02
+"""A grasp that would need more to stay above the table is none."""
 CLOSING_M_S = 0.15
 SLIP_M = 0.03
 """What is held may shift by this much in the gripper between two verifications."""
@@ -53,7 +56,15 @@ class Truth:
 
 
 class Stopped(Exception):
-    """A motion was stopped because it pressed on something."""
+    """A motion was stopped because it pressed on something.
+
+    Args:
+        travelled: Joint angles (K, 6) of the motion so far, oldest first.
+    """
+
+    def __init__(self, travelled: Float) -> None:
+        super().__init__("the robot pressed on something")
+        self.travelled = travelled
 
 
 class SimulatedRobot:
@@ -98,7 +109,10 @@ class SimulatedRobot:
         self.truth = Truth(None, None)
         T_world_tcp = frame.T_world_camera @ make_transform(grasp.rotation, grasp.position)
         opening = min(grasp.width_m, STROKE_M)
-        T_world_tcp[:3, 3] -= self._retreat_for_arc(T_world_tcp, opening) * T_world_tcp[:3, 2]
+        retreat = self._retreat_for_arc(T_world_tcp, opening)
+        if retreat > MAX_RETREAT_M:
+            return Outcome(False, "unreachable")
+        T_world_tcp[:3, 3] -= retreat * T_world_tcp[:3, 2]
         cloud = perceived_cloud(frame)
         plan = self.motion.plan_grasp(self.world.joints(), T_world_tcp, opening, cloud)
         if isinstance(plan, str):
@@ -107,8 +121,8 @@ class SimulatedRobot:
             self._move_gripper(opening)
             self._follow(plan.to_pregrasp)
             self._follow(plan.approach)
-        except Stopped:
-            self._back_out(plan.approach.start)
+        except Stopped as stop:
+            self._back_out(stop)
             return Outcome(False, "collision")
         self._close()
         grasped = self.world.held()
@@ -116,9 +130,9 @@ class SimulatedRobot:
         grip = None if grasped is None else self._grip_point(grasped)
         try:
             self._follow(plan.lift, held=grasped)
-        except Stopped:
+        except Stopped as stop:
             self._release()
-            self._back_out(plan.lift.end)
+            self._back_out(stop)
             return Outcome(False, "collision")
         if grasped is None or grip is None or not self._still_holds(grasped, grip):
             self._release()
@@ -139,9 +153,9 @@ class SimulatedRobot:
             return Outcome(False, "unreachable")
         try:
             self._follow(way, held=held)
-        except Stopped:
+        except Stopped as stop:
             self._release()
-            self._back_out(np.array(HOME_RAD))
+            self._back_out(stop)
             return Outcome(False, "collision")
         if not self._still_holds(held, grip):
             self._release()
@@ -190,13 +204,13 @@ class SimulatedRobot:
         times = np.arange(1, int(np.ceil(trajectory.duration_s / TICK_S)) + 1) * TICK_S
         positions = np.array([trajectory.sample(min(t, trajectory.duration_s)) for t in times])
         velocities = np.gradient(positions, TICK_S, axis=0) if len(positions) > 1 else np.zeros_like(positions)
-        for position, velocity in zip(positions, velocities, strict=True):
+        for i, (position, velocity) in enumerate(zip(positions, velocities, strict=True)):
             self.world.command(position, velocity)
             self._tick()
             if guarded and self.world.collision_force(held) > STOP_FORCE_N:
                 self.world.command(self.world.joints(), np.zeros(6))
                 self._wait(0.05)
-                raise Stopped
+                raise Stopped(positions[: i + 1])
         self.world.command(trajectory.end, np.zeros(6))
         self._wait(0.05)
 
@@ -227,20 +241,21 @@ class SimulatedRobot:
         self._wait(0.1)
 
     def _go_home(self, cloud: Float) -> None:
-        way = self.motion.plan_to(self.world.joints(), np.array(HOME_RAD), self.world.opening(), cloud)
+        home = np.array(HOME_RAD)
+        way = self.motion.plan_to(self.world.joints(), home, self.world.opening(), cloud)
         if isinstance(way, str):
-            self._back_out(np.array(HOME_RAD))
-            return
+            way = self.motion.direct(self.world.joints(), home)
         try:
             self._follow(way)
-        except Stopped:
-            self._back_out(np.array(HOME_RAD))
+        except Stopped as stop:
+            self._back_out(stop)
         self.world.settle(max_seconds=1.0)
 
-    def _back_out(self, via: Float) -> None:
-        """Leave after a stop: up the way it came to `via` (6,), then home, without minding contacts."""
-        for goal in (via, np.array(HOME_RAD)):
-            self._follow(self.motion.direct(self.world.joints(), goal), guarded=False)
+    def _back_out(self, stop: Stopped) -> None:
+        """Leave after a stop: back the way it came, then home, without minding contacts."""
+        way_back = time_path(stop.travelled[::-1], LIMITS, speed=0.5)
+        self._follow(way_back, guarded=False)
+        self._follow(self.motion.direct(self.world.joints(), np.array(HOME_RAD)), guarded=False)
         self._move_gripper(STROKE_M)
         self.world.settle(max_seconds=1.0)
 

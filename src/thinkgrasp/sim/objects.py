@@ -1,7 +1,7 @@
 """What the simulator needs to know of one object: how it looks, how it collides, and what it is.
 
-Object frame: metres, z up as the thing stands or lies at rest, origin inside it. The camera sees `visuals`, physics uses
-`collisions`; a part mask of the ground truth is the pixels of the visuals that carry the part's name.
+Object frame: metres, z up as the thing stands or lies at rest, origin inside it. The camera sees `visuals`, physics
+uses `collisions`; a part mask of the ground truth is the pixels of the visuals that carry the part's name.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ PieceShape = Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "hull"
 class Texture:
     """An image laid on a surface by its position in the object frame; no texture coordinates are needed.
 
-    "box": each side of `bounds_m` carries the whole image, its rows running down (-z) on the upright sides and -y on top
-    and bottom. "cylinder": columns run once around z, counter-clockwise seen from above, starting at -y; rows run down.
+    "box": each side of `bounds_m` carries the whole image, its rows running down (-z) on the upright sides and -y on
+    top and bottom. "cylinder": columns run once around z, counter-clockwise seen from above, starting at -y; rows run down.
     "sphere": columns are longitude in the same way, rows latitude from the top.
     """
 
@@ -71,8 +71,8 @@ class VisualPiece:
 class CollisionPiece:
     """One convex body.
 
-    `size_m` is MuJoCo's: half sides of a box, (radius,) of a sphere, (radius, half length) of cylinder and capsule along
-    their z, half axes of an ellipsoid; empty for a hull, whose `points_m` (P, 3) are in the object frame.
+    `size_m` is MuJoCo's: half sides of a box, (radius,) of a sphere, (radius, half length) of cylinder and capsule
+    along their z, half axes of an ellipsoid; empty for a hull, whose `points_m` (P, 3) are in the object frame.
     """
 
     shape: PieceShape

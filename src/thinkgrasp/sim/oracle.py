@@ -86,7 +86,7 @@ class TruthPlanner:
             is_goal = index in self._goals
             reason = "it is a goal" if is_goal else "it is no goal"
             matches.append(Match(p.mark, float(is_goal), name, (reason,), name))
-        return Grounding(tuple(sorted(matches, key=lambda m: (-m.score, m.mark))))
+        return Grounding(tuple(sorted(matches, key=lambda m: (-m.score, m.mark))), names_are_known=True)
 
 
 class TruthSegmenter:

@@ -1,7 +1,7 @@
 """The simulated cell: table, bin, camera mount, UR5e with a 2F-85, and the objects, under MuJoCo's physics.
 
-World frame: the robot's base on the table plane, z up, x forward. The world holds the truth; what the pipeline sees of it
-goes through a camera (`thinkgrasp.cameras.simulated`) and carries none of it.
+World frame: the robot's base on the table plane, z up, x forward. The world holds the truth; what the pipeline sees of
+it goes through a camera (`thinkgrasp.cameras.simulated`) and carries none of it.
 """
 
 # MuJoCo's bindings carry no types.
@@ -9,6 +9,7 @@ goes through a camera (`thinkgrasp.cameras.simulated`) and carries none of it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
@@ -32,6 +33,8 @@ TABLE_LIMITS_M = ((-0.35, 1.05), (-0.60, 0.80))
 STATIC_GROUP, OBJECT_GROUP, COLLISION_GROUP = 0, 2, 3
 GRIP_FORCE_N = 50.0
 """What each pad presses with; the 2F-85 is made for 20 to 235 N."""
+NO_FRICTION = 0.01
+"""Of everything that is no object: of two that touch MuJoCo takes the larger coefficient, so that the object's counts."""
 _PARKED_Z_M = -5.0
 _AT_REST_M_S, _AT_REST_RAD_S = 0.01, 0.2
 _SHAPES = {
@@ -66,7 +69,9 @@ class World:
         try:
             self.model = spec.compile()
         except ValueError as error:
-            raise InputError(f"the simulator refuses an object: {' '.join(str(error).split())}") from error
+            named = {_body_name(i): repr(obj.name) for i, obj in enumerate(self.objects)}
+            what = re.sub(r"object_\d+", lambda m: named.get(m.group(), m.group()), " ".join(str(error).split()))
+            raise InputError(f"the simulator refuses an object: {what}") from error
         self.data = mujoco.MjData(self.model)
         self.has_robot = robot
         self._bodies = np.array([self.model.body(_body_name(i)).id for i in range(len(self.objects))], np.intp)
@@ -215,16 +220,14 @@ class World:
         return make_transform(body.xmat.reshape(3, 3), body.xpos)
 
     def pad_contacts(self) -> list[set[int]]:
-        """Return the objects that the right and the left finger touch."""
+        """Return the objects that the right and the left finger pad touch."""
         touched: list[set[int]] = [set(), set()]
-        contact = self.data.contact
         if self.data.ncon == 0:
             return touched
-        pairs, force_adr = contact.geom, contact.efc_address
+        pairs, active = self.data.contact.geom, self.data.contact.efc_address >= 0
         for side, pad in enumerate(self._pads):
-            body = self.model.geom_bodyid[pad]
             for first, second in ((0, 1), (1, 0)):
-                mine = (self.model.geom_bodyid[pairs[:, first]] == body) & (force_adr >= 0)
+                mine = (pairs[:, first] == pad) & active
                 touched[side] |= {int(o) for o in self.object_of_geom[pairs[mine, second]] if o >= 0}
         return touched
 
@@ -281,8 +284,10 @@ def _cell_spec() -> mujoco.MjSpec:
         geom = world.add_geom(
             name=box.name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=box.center_m, size=box.half_m, rgba=rgba
         )
-        geom.group, geom.condim, geom.friction = STATIC_GROUP, 4, (0.4, 0.005, 0.0001)
-    floor = world.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, pos=(0, 0, FLOOR_Z_M), size=(5, 5, 0.1))
+        geom.group, geom.condim, geom.friction = STATIC_GROUP, 4, (NO_FRICTION, 0.005, 0.0001)
+    floor = world.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_BOX, pos=(0, 0, FLOOR_Z_M - 0.05), size=(5, 5, 0.05)
+    )
     floor.rgba, floor.group = (0.28, 0.28, 0.29, 1.0), STATIC_GROUP
     return spec
 
