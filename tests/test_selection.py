@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thinkgrasp.selection import cell_box, cell_center, preferred_point, rank_grasps
+from thinkgrasp.selection import FINGERS_M, cell_box, cell_center, preferred_point, rank_grasps
 from thinkgrasp.types import Grasps
 
 boxes = st.tuples(st.integers(0, 500), st.integers(0, 500), st.integers(1, 300), st.integers(1, 300)).map(
@@ -96,12 +97,18 @@ batches = st.tuples(st.integers(0, 40), st.integers(0, 2**32 - 1)).map(
 )
 
 
+def to_fingers(grasps: Grasps) -> np.ndarray:
+    """Distance from the origin to where the fingers are: from the TCP 4 cm back along the approach, here +z."""
+    p = grasps.positions.astype(float)
+    return np.hypot(np.hypot(p[:, 0], p[:, 1]), p[:, 2] - np.clip(p[:, 2], 0, FINGERS_M))
+
+
 class TestRanking:
     @given(batches, st.integers(1, 15))
     def test_the_n_nearest_by_score(self, grasps, n):
         order = rank_grasps(grasps, np.zeros(3), n)
         assert len(order) == min(n, len(grasps)) == len(set(order.tolist()))
-        distance = np.linalg.norm(grasps.positions.astype(float), axis=1)
+        distance = to_fingers(grasps)
         others = np.setdiff1d(np.arange(len(grasps)), order)
         if len(order) and len(others):
             assert distance[order].max() <= distance[others].min()
@@ -121,12 +128,28 @@ class TestRanking:
     def test_one_nearest_ignores_the_score(self, grasps):
         order = rank_grasps(grasps, np.zeros(3), 1)
         if len(grasps):
-            assert order[0] == np.argmin(np.linalg.norm(grasps.positions.astype(float), axis=1))
+            assert order[0] == np.argmin(to_fingers(grasps))
 
     def test_a_better_grasp_beyond_the_n_nearest_loses(self):
-        grasps = batch(np.array([[0.01, 0, 0], [0.02, 0, 0], [0.5, 0, 0]]), np.array([0.2, 0.4, 1.0]))
+        grasps = batch(np.array([[0.1, 0, 0], [0.2, 0, 0], [0.5, 0, 0]]), np.array([0.2, 0.4, 1.0]))
         assert rank_grasps(grasps, np.zeros(3), 2).tolist() == [1, 0]
         assert rank_grasps(grasps, np.zeros(3), 3).tolist() == [2, 1, 0]
+
+    def test_a_deep_grasp_is_as_near_as_a_shallow_one(self):
+        grasps = batch(np.array([[0, 0, 0.03], [0, 0.02, 0]]), np.array([0.9, 0.8]))
+        assert rank_grasps(grasps, np.zeros(3), 1).tolist() == [0]
+
+    @pytest.mark.parametrize(
+        ("shift_m", "turn_deg", "n"), [(0.01, 0, 1), (0.02, 0, 2), (0, 20, 1), (0, 40, 2), (0, 180, 1)]
+    )
+    def test_of_near_duplicates_the_best_counts(self, shift_m, turn_deg, n):
+        a = np.deg2rad(turn_deg)
+        turned = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+        two = batch(np.array([[0, 0, 0], [shift_m, 0, 0]]), np.array([0.5, 0.9]))
+        two = replace(two, rotations=np.stack([np.eye(3), turned]).astype(np.float32))
+        order = rank_grasps(two, np.zeros(3))
+        assert len(order) == n
+        assert order[0] == 1
 
     def test_n_must_be_positive(self):
         with pytest.raises(ValueError, match="n_nearest"):

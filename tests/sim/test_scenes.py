@@ -18,7 +18,6 @@ from thinkgrasp.sim.piles import Pile
 from thinkgrasp.sim.scenes import is_takeable, published
 from thinkgrasp.sim.world import World
 
-
 SHARED = Path(__file__).parents[3] / "shared"
 
 

@@ -24,8 +24,8 @@ class Texture:
     """An image laid on a surface by its position in the object frame; no texture coordinates are needed.
 
     "box": each side of `bounds_m` carries the whole image, its rows running down (-z) on the upright sides and -y on
-    top and bottom. "cylinder": columns run once around z, counter-clockwise seen from above, starting at -y; rows run down.
-    "sphere": columns are longitude in the same way, rows latitude from the top.
+    top and bottom. "cylinder": columns run once around z, counter-clockwise seen from above, starting at -y; rows run
+    down. "sphere": columns are longitude in the same way, rows latitude from the top.
     """
 
     image: NDArray[np.uint8]
