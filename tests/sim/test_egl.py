@@ -59,5 +59,5 @@ except ConfigError as error:
 def test_without_opengl_the_error_says_what_is_missing():
     run = subprocess.run([sys.executable, "-c", WITHOUT_OPENGL], capture_output=True, text=True, check=True)
     assert "EGL rendering does not work here" in run.stdout
-    assert "pip install PyOpenGL" in run.stdout
+    assert "pip install 'thinkgrasp[egl]'" in run.stdout
     assert len(run.stdout.splitlines()) == 1

@@ -18,12 +18,12 @@ from fakes.browser import Tab, chromium
 from PIL import Image
 from scipy.spatial import KDTree
 
-from thinkgrasp.cli import demo_frame
 from thinkgrasp.config import load_config, make_pipeline
 from thinkgrasp.episode import EpisodeHeader
 from thinkgrasp.errors import InputError
 from thinkgrasp.gripper import GRIPPERS
 from thinkgrasp.recorder import EpisodeRecorder
+from thinkgrasp.sim.tabletop import demo_camera, demo_scene, render
 from thinkgrasp.types import Decision, Degradation, Obstruction, Outcome
 from thinkgrasp.viz import report
 from thinkgrasp.viz.compact import compact_scene
@@ -39,7 +39,8 @@ DARK = np.array([20, 23, 27])
 @cache
 def decisions() -> tuple[Decision, ...]:
     """What the offline pipeline decides on the demonstration frame: two grasps, and nothing found."""
-    pipeline, frame = make_pipeline(load_config("offline")), demo_frame(0)
+    frame = render(demo_scene(0), *demo_camera()).frame
+    pipeline = make_pipeline(load_config("offline"))
     said = ("I need a fruit", "something to drink from", "give me the scissors")
     return tuple(pipeline.decide(frame, words) for words in said)
 

@@ -16,15 +16,15 @@ from thinkgrasp.sim.world import World
 from thinkgrasp.types import Array, Frame, Mask
 
 WORKSPACE_HEIGHT_M = (-0.02, 0.50)
-WORKSPACE_MARGIN_M = 0.02
-"""Added around the workspace: a thing belongs to it as a whole."""
+WORKSPACE_MARGIN_M = (0.06, 0.11)
+"""Added around the workspace along x and y: a thing belongs to it as a whole, and one that was pushed over its edge."""
 
 
 def default_workspace() -> NDArray[np.float64]:
     """Return the lowest and the highest corner (2, 3) of where grasping is allowed, world [m]."""
     (x0, x1), (y0, y1) = WORKSPACE_M
-    m, (z0, z1) = WORKSPACE_MARGIN_M, WORKSPACE_HEIGHT_M
-    return np.array([[x0 - m, y0 - m, z0], [x1 + m, y1 + m, z1]])
+    (mx, my), (z0, z1) = WORKSPACE_MARGIN_M, WORKSPACE_HEIGHT_M
+    return np.array([[x0 - mx, y0 - my, z0], [x1 + mx, y1 + my, z1]])
 
 
 class SimulatedCamera:

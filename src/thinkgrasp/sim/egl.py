@@ -46,8 +46,8 @@ def _context(width: int, height: int):
     except Exception as error:  # a missing library, device or package each raises its own type
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ConfigError(
-            f"EGL rendering does not work here ({reason}); it needs libEGL with a driver and 'pip install PyOpenGL'; "
-            "the ray caster needs neither"
+            f"EGL rendering does not work here ({reason}); it needs libEGL with a driver and PyOpenGL "
+            "(pip install 'thinkgrasp[egl]'); the ray caster needs neither"
         ) from error
 
 

@@ -72,6 +72,17 @@ class Pile:
         spots = np.stack([self.rng.uniform(*side, PUT_BACK_TRIES) for side in _EDGE], axis=1)
         self._fall(index, spots[self._floors(index, spots, R).argmin()], R, 0.0)
 
+    def take_back(self, index: int, lay: Float) -> None:
+        """Undo the fall of an object; the others lie as they did at `lay`, the poses (N, 4, 4) before it."""
+        self.world.park(index)
+        self.dropped.remove(index)
+        for other in self.dropped:
+            self.world.place(other, lay[other])
+
+    def wait(self) -> None:
+        """Let what falls come to rest."""
+        self._pass(SETTLE_S)
+
     def settle(self) -> bool:
         """Wait until all is at rest, putting back what left the workspace; return whether all lies still inside."""
         for _ in range(PUT_BACK_ROUNDS):

@@ -15,9 +15,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from thinkgrasp.motion.arm_spec import GROUP as ROBOT_GROUP
+
 Float = NDArray[np.float64]
 
-STATIC_GROUP, ROBOT_GROUP, OBJECT_GROUP = 0, 1, 2
+STATIC_GROUP, OBJECT_GROUP = 0, 2
 SEEN_GROUPS = (STATIC_GROUP, ROBOT_GROUP, OBJECT_GROUP)
 """Geom groups that cameras see; collision shapes of the objects are in none of them."""
 _MIN_RAYS_PER_THREAD = 4096

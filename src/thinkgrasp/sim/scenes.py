@@ -41,7 +41,7 @@ HIDING_OBJECTS = 12
 HEAVY_OBJECTS = (20, 30)
 TAKEABLE_M = 0.078
 """Widest side that fits between the fingers with room to spare."""
-SELECTIONS, TRIES_PER_SELECTION = 40, 2
+SELECTIONS, TRIES_PER_SELECTION = 60, 2
 """How often objects are chosen, and piles made of the same objects, before it is given up."""
 VIEW_SIZE = (224, 224)
 
@@ -254,21 +254,22 @@ def _pour(pile: Pile, selection: Selection, visibility: Visibility | None) -> bo
         pile.drop(goal, _CENTER + pile.rng.uniform(-0.05, 0.05, 2))
     pile.settle()
     low, high = VISIBLE_SHARE[visibility]
-    covered = False
+    aim = high - COVER_MARGIN * (high - low)
     for index in others:
-        shares = _shares(pile.world, goals)
-        covered = max(shares) < high - COVER_MARGIN * (high - low)
-        if min(shares) < low:
-            return False
-        goal = pile.world.center(goals[int(np.argmax(shares))])[:2]
-        if not covered:
-            pile.drop(index, goal + pile.rng.normal(COVER_AT_M, COVER_SPREAD_M))
-        elif visibility == "hidden":
+        shares, lay = _shares(pile.world, goals), pile.world.poses()
+        worst = pile.world.center(goals[int(np.argmax(shares))])[:2]
+        if max(shares) >= aim:
+            pile.drop(index, worst + pile.rng.normal(COVER_AT_M, COVER_SPREAD_M))
+            pile.wait()
+            if min(_shares(pile.world, goals)) >= low:
+                continue
+            pile.take_back(index, lay)
+        if visibility == "hidden":
             pile.scatter(index)
         else:
             away = pile.rng.uniform(0, 2 * np.pi)
-            pile.drop(index, goal + APART_M * np.array([np.cos(away), np.sin(away)]))
-    return covered and pile.settle()
+            pile.drop(index, worst + APART_M * np.array([np.cos(away), np.sin(away)]))
+    return pile.settle() and max(_shares(pile.world, goals)) <= high
 
 
 COVER_MARGIN = 0.2

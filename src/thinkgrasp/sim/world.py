@@ -21,16 +21,17 @@ from scipy.spatial.transform import Rotation
 from thinkgrasp.errors import InputError
 from thinkgrasp.geometry import make_transform
 from thinkgrasp.motion.arm_spec import ARM_JOINTS, GRIPPER_JOINTS, PADS, add_arm
-from thinkgrasp.motion.arm_spec import GROUP as ROBOT_GROUP
 from thinkgrasp.motion.cell import BIN, HOME_RAD, STATICS, StaticBox
 from thinkgrasp.motion.robotiq_2f85 import CLOSED_RAD, STROKE_M, crank_angle, opening
 from thinkgrasp.sim.objects import CollisionPiece, SimObject, VisualPiece
+from thinkgrasp.sim.rays import OBJECT_GROUP, ROBOT_GROUP, STATIC_GROUP
 
 TIMESTEP_S = 0.002
 FLOOR_Z_M = -0.75
 TABLE_LIMITS_M = ((-0.35, 1.05), (-0.60, 0.80))
 """Extent of the table top along x and y."""
-STATIC_GROUP, OBJECT_GROUP, COLLISION_GROUP = 0, 2, 3
+COLLISION_GROUP = 3
+"""Geom group of the objects' collision shapes; no camera sees it."""
 GRIP_FORCE_N = 50.0
 """What each pad presses with; the 2F-85 is made for 20 to 235 N."""
 NO_FRICTION = 0.01
@@ -103,7 +104,7 @@ class World:
 
     def park(self, index: int) -> None:
         """Take an object out of the world."""
-        self._set_pose(index, make_transform(np.eye(3), [float(index), 0.0, _PARKED_Z_M]))
+        self._set_pose(index, make_transform(np.eye(3), np.array([float(index), 0.0, _PARKED_Z_M])))
         self.model.body_gravcomp[self._bodies[index]] = 1.0
         mujoco.mj_kinematics(self.model, self.data)
 

@@ -6,16 +6,8 @@
 The package's own stages are checked by the same functions.
 """
 
-from thinkgrasp.testing.contracts import (
-    check_camera,
-    check_check,
-    check_generator,
-    check_planner,
-    check_recorder,
-    check_robot,
-    check_scene,
-    check_segmenter,
-)
+from thinkgrasp.testing.contracts import check_check, check_generator, check_planner, check_scene, check_segmenter
+from thinkgrasp.testing.devices import check_camera, check_recorder, check_robot
 from thinkgrasp.testing.scenes import empty_scene, sample_frame, sample_scene, strict_scene
 
 __all__ = [

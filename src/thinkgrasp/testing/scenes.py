@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from thinkgrasp.geometry import apply, deproject, invert, make_transform
 from thinkgrasp.sim.tabletop import Rendering, TabletopScene, demo_camera, demo_scene, render
-from thinkgrasp.types import CameraIntrinsics, Frame, Mask, Proposal, Scene, SupportPlane
+from thinkgrasp.types import CameraIntrinsics, Frame, Grasps, Mask, Proposal, Scene, SupportPlane
 
 _LEAST_PIXELS = 30
 _LOOKS = {
@@ -68,6 +68,26 @@ def strict_scene() -> Scene:
     """Return the things of `sample_frame()` in the paper's strict mode: frame and points only."""
     frame = sample_frame()
     return Scene(frame, deproject(frame.depth, frame.camera))
+
+
+def top_down_grasps(scene: Scene, proposal: Proposal, n: int = 24) -> Grasps:
+    """Return n grasps from above on a proposal of `sample_scene`, their closing directions spread at random."""
+    points = scene.points[proposal.mask & np.isfinite(scene.points[..., 2])]
+    rng = np.random.default_rng(0)
+    assert scene.support is not None  # sample_scene always has one
+    z = -scene.support.normal
+    rotations: list[NDArray[np.float64]] = []
+    for angle in rng.uniform(0, np.pi, n):
+        side = np.cross(z, [1.0, 0.0, 0.0])
+        x = side / np.linalg.norm(side)
+        x = float(np.cos(angle)) * x + float(np.sin(angle)) * np.cross(z, x)
+        rotations.append(np.stack([x, np.cross(z, x), z], axis=1))
+    return Grasps(
+        np.array(rotations, np.float32),
+        points[rng.integers(0, len(points), n)],
+        rng.uniform(0.01, 0.12, n).astype(np.float32),
+        rng.uniform(0, 1, n).astype(np.float32),
+    )
 
 
 @cache

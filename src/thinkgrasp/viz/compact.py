@@ -28,33 +28,33 @@ def compact_scene(decision: Decision, gripper: Gripper) -> str:
         gripper: Geometry of the gripper to draw.
     """
     camera = decision.scene.frame.camera
-    pivot = view._pivot(decision)
+    pivot = view.find_pivot(decision)
     fewer = replace(decision, alternatives=decision.alternatives[:MAX_CANDIDATES])
-    solids = [layer for layer in view._layers(fewer, gripper, pivot) if layer.kind != "points"]
+    solids = [layer for layer in view.make_layers(fewer, gripper, pivot) if layer.kind != "points"]
     layers = [layer for layer in (*_cloud(decision), *solids) if len(layer.positions)]
     scene = {
         "camera": {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")},
         "pivot": pivot.round(5).tolist(),
-        "up": view._up(decision.scene).round(6).tolist(),
+        "up": view.way_up(decision.scene).round(6).tolist(),
         "closing": None if decision.grasp is None else decision.grasp.rotation[:, 0].round(6).tolist(),
         "layers": [_pack(layer) for layer in layers],
     }
     return json.dumps(scene, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
-def _cloud(decision: Decision) -> list[view._Layer]:
+def _cloud(decision: Decision) -> list[view.Layer]:
     points, frame = decision.scene.points, decision.scene.frame
     valid = np.isfinite(points[..., 2])
     target = np.zeros_like(valid) if decision.target is None else decision.target.mask & valid
-    objects = view._object_mask(decision) & valid & ~target
+    objects = view.object_mask(decision) & valid & ~target
     masks = {"target": target, "objects": objects, "rest": valid & ~target & ~objects}
-    layers: list[view._Layer] = []
+    layers: list[view.Layer] = []
     for name, limit in SHARES:
-        kept, step = view._thin(masks[name], limit)
+        kept, step = view.thin(masks[name], limit)
         spacing = max(1.4 * step, 1.05 * float(np.ceil(step))) / frame.camera.fx
         is_target = name == "target"
         layers.append(
-            view._Layer(
+            view.Layer(
                 "target" if is_target else "cloud",
                 "points",
                 points[kept],
@@ -66,7 +66,7 @@ def _cloud(decision: Decision) -> list[view._Layer]:
     return layers
 
 
-def _pack(layer: view._Layer) -> dict[str, object]:
+def _pack(layer: view.Layer) -> dict[str, object]:
     low, high = layer.positions.min(axis=0), layer.positions.max(axis=0)
     origin = (low.astype(np.float64) + high) / 2
     scale = max(float((high - low).max()) / 2 / 32767, 1e-9)

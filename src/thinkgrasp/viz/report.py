@@ -16,8 +16,6 @@ from thinkgrasp.viz.panel import badge, text
 
 MAX_INLINE_VIDEO_BYTES = 16_000_000
 """A larger video is linked, not put into the page."""
-LAST_LINE_OF_VIEW = "start();"
-"""view.js ends by starting its own page, which has one view; this page starts many."""
 
 _ENDS: Mapping[str, str] = {**END_WORDS}
 
@@ -42,11 +40,10 @@ def write_report(folder: str | Path) -> Path:
 def render_report(episode: RecordedEpisode) -> str:
     """Return the page that `write_report` writes."""
     files = resources.files("thinkgrasp.viz")
-    turntable = files.joinpath("view.js").read_text("utf-8").rstrip().removesuffix(LAST_LINE_OF_VIEW)
     parts = {
         "title": text(f"{episode.header.instruction} · ThinkGrasp episode"),
         "style": files.joinpath("report.css").read_text("utf-8"),
-        "script": turntable + files.joinpath("report.js").read_text("utf-8"),
+        "script": "".join(files.joinpath(name).read_text("utf-8") for name in ("view.js", "report.js")),
         "header": _header(episode),
         "video": _video(episode.folder),
         "steps": "".join(_panel(step) for step in episode.steps),

@@ -342,4 +342,5 @@ function start() {
   new ResizeObserver(redraw).observe(canvas);
 }
 
-start();
+// A page with several views has no scene of this name, and starts them itself.
+if (document.getElementById("scene")) start();

@@ -47,7 +47,7 @@ Kind = Literal["points", "lines", "triangles"]
 
 
 @dataclass(frozen=True, eq=False)
-class _Layer:
+class Layer:
     """Something that can be shown: vertices (N, 3) [m] in the camera frame and their colours (N, 3)."""
 
     name: str
@@ -61,6 +61,7 @@ class _Layer:
     """The layer's toggle highlights it instead of hiding it."""
 
     def pack(self) -> dict[str, object]:
+        """Return the layer as the page's script reads it."""
         return {
             "name": self.name,
             "kind": self.kind,
@@ -97,12 +98,12 @@ def render_view(decision: Decision, gripper: Gripper) -> str:
     """Return the page that `write_view` writes."""
     files = resources.files("thinkgrasp.viz")
     camera = decision.scene.frame.camera
-    pivot = _pivot(decision)
-    layers = _layers(decision, gripper, pivot)
+    pivot = find_pivot(decision)
+    layers = make_layers(decision, gripper, pivot)
     scene = {
         "camera": {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")},
         "pivot": pivot.tolist(),
-        "up": _up(decision.scene).tolist(),
+        "up": way_up(decision.scene).tolist(),
         "closing": None if decision.grasp is None else decision.grasp.rotation[:, 0].tolist(),
         "layers": [layer.pack() for layer in layers],
     }
@@ -122,26 +123,27 @@ def _base64(array: NDArray[np.generic], dtype: str) -> str:
     return base64.b64encode(np.ascontiguousarray(array).astype(dtype).tobytes()).decode("ascii")
 
 
-def _pivot(decision: Decision) -> Float:
-    """What the turntable turns about: the preferred point, else the middle of the objects, else of everything."""
+def find_pivot(decision: Decision) -> Float:
+    """Return what the turntable turns about (3,): the preferred point, else the objects' middle, else everything's."""
     if decision.preferred_point is not None:
         return decision.preferred_point
     points = decision.scene.points
     valid = np.isfinite(points[..., 2])
-    objects = _object_mask(decision) & valid
+    objects = object_mask(decision) & valid
     chosen = points[objects if objects.any() else valid]
     return np.median(chosen, axis=0).astype(np.float64) if len(chosen) else np.array([0.0, 0.0, 1.0])
 
 
-def _object_mask(decision: Decision) -> NDArray[np.bool_]:
+def object_mask(decision: Decision) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) of all proposals."""
     mask = np.zeros(decision.scene.points.shape[:2], bool)
     for proposal in decision.scene.proposals:
         mask |= proposal.mask
     return mask
 
 
-def _up(scene: Scene) -> Float:
-    """The way up in the camera frame, from the support, else from the camera's pose, else the image's."""
+def way_up(scene: Scene) -> Float:
+    """Return the way up (3,) in the camera frame: from the support, else from the camera's pose, else the image's."""
     if scene.support is not None:
         return scene.support.normal
     if scene.frame.T_world_camera is not None:
@@ -149,7 +151,8 @@ def _up(scene: Scene) -> Float:
     return np.array([0.0, -1.0, 0.0])
 
 
-def _layers(decision: Decision, gripper: Gripper, pivot: Float) -> list[_Layer]:
+def make_layers(decision: Decision, gripper: Gripper, pivot: Float) -> list[Layer]:
+    """Return everything that can be shown of a decision, the cloud first."""
     layers, chosen = _cloud(decision), []
     if decision.scene.support is not None:
         layers.append(_plane(decision.scene.support, pivot))
@@ -166,24 +169,24 @@ def _layers(decision: Decision, gripper: Gripper, pivot: Float) -> list[_Layer]:
     return layers + chosen
 
 
-def _cloud(decision: Decision) -> list[_Layer]:
+def _cloud(decision: Decision) -> list[Layer]:
     """Target, other objects and the rest, each with a share of the points that are left; thinned where it has more."""
     points, frame = decision.scene.points, decision.scene.frame
     valid = np.isfinite(points[..., 2])
     target = np.zeros_like(valid) if decision.target is None else decision.target.mask & valid
-    objects = _object_mask(decision) & valid & ~target
+    objects = object_mask(decision) & valid & ~target
     left, layers = MAX_POINTS, []
     groups = (("target", target, 0.5), ("cloud", objects, 0.6), ("cloud", valid & ~target & ~objects, 1.0))
     for name, mask, share in groups:
-        kept, step = _thin(mask, int(share * left))
+        kept, step = thin(mask, int(share * left))
         left -= int(kept.sum())
         if kept.any():
             spacing = max(1.4 * step, 1.05 * float(np.ceil(step))) / frame.camera.fx
-            layers.append(_Layer(name, "points", points[kept], frame.color[kept], spacing, tintable=name == "target"))
+            layers.append(Layer(name, "points", points[kept], frame.color[kept], spacing, tintable=name == "target"))
     return layers
 
 
-def _thin(mask: NDArray[np.bool_], limit: int) -> tuple[NDArray[np.bool_], float]:
+def thin(mask: NDArray[np.bool_], limit: int) -> tuple[NDArray[np.bool_], float]:
     """Keep at most `limit` pixels of a mask on a regular lattice; return them and the lattice's step [px]."""
     kept, step = mask, 1.0
     while (n := int(kept.sum())) > limit:
@@ -195,7 +198,7 @@ def _thin(mask: NDArray[np.bool_], limit: int) -> tuple[NDArray[np.bool_], float
     return kept, step
 
 
-def _plane(support: SupportPlane, pivot: Float) -> _Layer:
+def _plane(support: SupportPlane, pivot: Float) -> Layer:
     """A grid on the support around the pivot."""
     n = support.normal
     center = pivot - (float(n @ pivot) + support.offset_m - PLANE_LIFT_M) * n
@@ -209,10 +212,10 @@ def _plane(support: SupportPlane, pivot: Float) -> _Layer:
     vertices = np.array(lines)
     in_front = (vertices.reshape(-1, 2, 3)[..., 2] > 0.02).all(axis=1).repeat(2)
     vertices = vertices[in_front]
-    return _Layer("plane", "lines", vertices, np.full(vertices.shape, MUTED, np.uint8), alpha=0.5)
+    return Layer("plane", "lines", vertices, np.full(vertices.shape, MUTED, np.uint8), alpha=0.5)
 
 
-def _candidates(grasps: Sequence[Grasp], gripper: Gripper) -> _Layer:
+def _candidates(grasps: Sequence[Grasp], gripper: Gripper) -> Layer:
     """A thin glyph per grasp: two fingers, a bridge and a stem, coloured by score."""
     b, L = GLYPH_BAR_M / 2, gripper.finger_length_m
     quads: list[Float] = []
@@ -233,7 +236,7 @@ def _candidates(grasps: Sequence[Grasp], gripper: Gripper) -> _Layer:
     return _triangles("candidates", quads, colors)
 
 
-def _chosen(grasp: Grasp, gripper: Gripper) -> list[_Layer]:
+def _chosen(grasp: Grasp, gripper: Gripper) -> list[Layer]:
     """Solid fingers, a palm to look through, and the edges of all three."""
     corners = [to_camera(grasp, box_corners(body)) for body in gripper.bodies(grasp.width_m)]
     fingers = [quad for box in corners[:2] for quad in _box_quads(box)]
@@ -242,7 +245,7 @@ def _chosen(grasp: Grasp, gripper: Gripper) -> list[_Layer]:
     lines = np.concatenate([box[edges].reshape(-1, 3) for box in corners])
     return [
         _triangles("chosen", fingers, [GRIPPER] * len(fingers)),
-        _Layer("chosen", "lines", lines, np.full(lines.shape, EDGE, np.uint8)),
+        Layer("chosen", "lines", lines, np.full(lines.shape, EDGE, np.uint8)),
         replace(_triangles("chosen", palm, [GRIPPER] * len(palm)), alpha=0.3),
     ]
 
@@ -251,7 +254,7 @@ def _box_quads(corners: Float) -> list[Float]:
     return [corners[list(face)] for face in BOX_FACES]
 
 
-def _triangles(name: str, polygons: Iterable[Float], colors: Sequence[RGB]) -> _Layer:
+def _triangles(name: str, polygons: Iterable[Float], colors: Sequence[RGB]) -> Layer:
     """Fan out convex polygons, each in its colour, darker where it faces sideways or away from the camera."""
     positions: list[Float] = []
     shades: list[NDArray[np.uint8]] = []
@@ -263,7 +266,7 @@ def _triangles(name: str, polygons: Iterable[Float], colors: Sequence[RGB]) -> _
         for i in range(1, len(polygon) - 1):
             positions.append(polygon[[0, i, i + 1]])
             shades.append(np.broadcast_to(shade, (3, 3)))
-    return _Layer(name, "triangles", np.concatenate(positions), np.concatenate(shades))
+    return Layer(name, "triangles", np.concatenate(positions), np.concatenate(shades))
 
 
 def score_color(score: float) -> RGB:
