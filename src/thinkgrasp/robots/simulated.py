@@ -171,7 +171,7 @@ class SimulatedRobot:
 
     def _grip_point(self, index: int) -> Float:
         """The point (3,) of an object that is between the pads now, in its own frame."""
-        return apply(invert(self.world.pose(index)), self._between_pads())
+        return np.asarray(apply(invert(self.world.pose(index)), self._between_pads()), np.float64)
 
     def _between_pads(self) -> Float:
         T_flange_pads = flange_to_tip(self.world.opening())
@@ -203,7 +203,9 @@ class SimulatedRobot:
         """Move along a trajectory; raise Stopped where the robot presses on something."""
         times = np.arange(1, int(np.ceil(trajectory.duration_s / TICK_S)) + 1) * TICK_S
         positions = np.array([trajectory.sample(min(t, trajectory.duration_s)) for t in times])
-        velocities = np.gradient(positions, TICK_S, axis=0) if len(positions) > 1 else np.zeros_like(positions)
+        velocities = np.zeros_like(positions)
+        if len(positions) > 1:
+            velocities[:] = np.gradient(positions, TICK_S, axis=0)
         for i, (position, velocity) in enumerate(zip(positions, velocities, strict=True)):
             self.world.command(position, velocity)
             self._tick()
@@ -273,10 +275,10 @@ class SimulatedRobot:
 
 def _over_bin(yaw: float, z_m: float) -> Float:
     """Fingertips (4, 4) over the middle of the bin, pointing down."""
-    x, y = np.mean(BIN.x_m), np.mean(BIN.y_m)
     c, s = np.cos(yaw), np.sin(yaw)
     R = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
-    return make_transform(R, [x, y, np.clip(z_m, _LOWEST_DROP_M, _HIGHEST_DROP_M)])
+    z = np.clip(z_m, _LOWEST_DROP_M, _HIGHEST_DROP_M)
+    return make_transform(R, np.array([np.mean(BIN.x_m), np.mean(BIN.y_m), z]))
 
 
 def perceived_cloud(frame: Frame) -> Float:
@@ -288,4 +290,4 @@ def perceived_cloud(frame: Frame) -> Float:
     if frame.T_world_camera is None:
         raise InputError("the camera's pose is needed to plan a motion: T_world_camera is missing in the frame")
     points = deproject(frame.depth, frame.camera).reshape(-1, 3)
-    return apply(frame.T_world_camera, points[np.isfinite(points[:, 2])].astype(np.float64))
+    return np.asarray(apply(frame.T_world_camera, points[np.isfinite(points[:, 2])]), np.float64)

@@ -1,5 +1,8 @@
 """The world as simple meshes with poses, for viewers that draw it themselves."""
 
+# MuJoCo's bindings carry no types.
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from dataclasses import dataclass
