@@ -122,10 +122,8 @@ class _Witness:
         world = self.robot.world
         before = [world.on_table(i) for i in range(len(world.objects))]
         outcome = self.robot.execute(grasp, frame)
-        gone = tuple(
-            i for i, was in enumerate(before)
-            if was and not world.on_table(i) and i != self.robot.truth.delivered
-        )  # fmt: skip
+        left = [i for i, was in enumerate(before) if was and not world.on_table(i)]
+        gone = tuple(i for i in left if i != self.robot.truth.delivered)
         self.attempts.append(Attempt(outcome, self.robot.truth, gone))
         return outcome
 
@@ -136,9 +134,7 @@ def for_the_loop(config: PipelineConfig) -> PipelineConfig:
     Only what the arm reaches is chosen; fingers may touch the table's noise, since the robot feels a contact; and a
     planner of ours goes on clearing while the goal is not in view. Settings that were made stay.
     """
-    checks = [
-        _with_default(c, "support_noise_m", 0.003) if c.name == "collision" else c for c in config.checks
-    ]  # fmt: skip
+    checks = [_with_default(c, "support_noise_m", 0.003) if c.name == "collision" else c for c in config.checks]
     if all(c.name != "reach" for c in checks):
         checks.append(StageConfig("reach"))
     planner, generator = config.planner, config.generator

@@ -228,13 +228,13 @@ def make_pile(
 def is_takeable(obj: SimObject, T_world_object: Float) -> bool:
     """Whether a two-finger gripper can take a thing as it lies, if nothing is in the way.
 
-    A wide vessel has to show its rim: upside down there is nothing to hold. A plain box must not lie on a face of which
-    both sides are wider than the gripper opens.
+    A wide vessel has to show its rim: upside down there is nothing to hold. A plain block must not lie on a face of
+    which both sides are wider than the gripper opens.
     """
     sides = np.diff(obj.bounds_m, axis=0)[0]
     if "rim" in obj.parts:
         return bool(np.sort(sides)[1] <= TAKEABLE_M or T_world_object[2, 2] > 0.5)
-    if len(obj.collisions) == 1 and obj.collisions[0].shape == "box":
+    if len(obj.collisions) == 1 and obj.collisions[0].shape in ("box", "hull"):
         level = np.abs(T_world_object[2, :3]) < 0.7
         return bool((sides[level] <= TAKEABLE_M).any())
     return True
