@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -134,6 +135,8 @@ def test_a_mask_over_pixels_without_depth(cli, frame_files, tmp_path):
     [
         (["--preset", "oflline"], "did you mean 'offline'"),
         (["--preset", "none.json"], "cannot be read"),
+        (["--preset", "oracle"], "belongs to the simulator: use it as thinkgrasp demo --preset oracle"),
+        (["--preset", "orakle"], "did you mean 'oracle'"),
         (["--planner", "ofline"], "Did you mean 'offline'"),
         (["--segmenter", "zzz"], "no segmenter named 'zzz'"),
         (["--generator", "antipodl"], "Did you mean 'antipodal'"),
@@ -195,6 +198,97 @@ def test_names_with_line_breaks_stay_on_one_line(cli, frame_files):
     expect_error(cli(*args), "no such file")
 
 
-def test_demo_into_a_file(cli, tmp_path):
-    (tmp_path / "file").write_bytes(b"x")
-    expect_error(cli("demo", "--out", str(tmp_path / "file")), "cannot be used")
+class TestDemo:
+    """Refused before a pile is made, except where it takes the pile to know."""
+
+    @pytest.fixture(autouse=True)
+    def needs_the_simulator(self):
+        pytest.importorskip("mujoco", reason="needs thinkgrasp[sim]")
+
+    @pytest.mark.parametrize(
+        ("args", "message"),
+        [
+            (["--task", "clutter-06-fruti"], "Did you mean 'clutter-06-fruit'"),
+            (["--task", "fruit"], "may be clutter-06-fruit or heavy-04-fruit; say which"),
+            (["--preset", "oflline"], "did you mean 'offline'"),
+            (["--preset", "orakle"], "did you mean 'oracle'"),
+            (["--preset", "none.json"], "cannot be read"),
+            (["--preset", "oracle", "--scene", "none"], "brings its own scene, planner, segmenter"),
+            (["--preset", "oracle", "--set", "planner.grid=4"], "brings its own scene, planner, segmenter"),
+            (["--planner", "ofline"], "Did you mean 'offline'"),
+            (["--set", "planner.gridd=4"], "gridd"),
+            (["--gripper", "tweezers"], "no gripper 'tweezers'"),
+            (["--size", "224"], "written WIDTHxHEIGHT, for example 640x480, got '224'"),
+            (["--size", "-1x5"], "written WIDTHxHEIGHT"),
+            (["--size", "1000x1000"], "no image size 1000x1000 for l515; allowed are 640x480, 320x240, 224x224"),
+            (["--camera", "kinect"], "Expected one of ('l515', 'd455')"),
+            (["--visibility", "somewhat"], "--visibility"),
+            (["--steps", "0"], "--steps must be at least 1, got 0"),
+            (["--steps", "few"], "--steps"),
+            (["--seed", "-1"], "seed must be a whole number of at least 0, got -1"),
+            (["--port", "0", "--live"], "--port must lie in 1 to 65535, got 0"),
+            (["--port", "65536", "--live"], "--port must lie in 1 to 65535"),
+            (["grasp it"], "names nothing that could be put on the table; there are apple"),
+            (["the bicycle"], "names nothing that could be put on the table"),
+            (["the pear", "--objects", "missing"], "missing: no such folder"),
+            (["the pear", "--objects", "."], "holds no object folders"),
+            (["the pear", "--objects", ".", "--task", "pear"], "leave it out to use --objects"),
+        ],
+    )
+    def test_options(self, cli, tmp_path, monkeypatch, args, message):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr("thinkgrasp.sim.scenes.Pile", never)
+        expect_error(cli("demo", *args, "--out", f"{tmp_path}-out"), message)
+
+    @pytest.mark.parametrize("task", ["drink", "09-pear", "pear"])
+    def test_a_task_that_lacks_what_is_asked_for_lists_what_there_is(self, cli, tmp_path, task):
+        result = cli("demo", "the bicycle", "--task", task, "--out", str(tmp_path))
+        assert (result.code, result.out) == (2, "")
+        progress, error = result.err.splitlines()
+        assert progress.startswith("making the pile of clutter-0")
+        assert "serves 'the bicycle'; there is: " in error
+
+    @pytest.mark.parametrize(
+        ("urdf", "message"),
+        [
+            ("<robot>\n  <link name='base'>\n</robot>", "model.urdf:3: "),
+            ("<robot>\n  <link name='a'/>\n  <link name='b'/>\n</robot>", "model.urdf:1: "),
+            (
+                "<robot><link name='base'>\n  <visual><geometry>\n    <mesh filename='no.obj'/></geometry></visual>\n"
+                "</link></robot>",
+                "model.urdf:3: mesh 'no.obj' does not exist",
+            ),
+            ("", "model.urdf"),
+        ],
+        ids=["not well formed", "two bases", "no mesh", "empty"],
+    )
+    def test_a_bad_urdf_is_named_with_its_line(self, cli, tmp_path, urdf, message):
+        place = tmp_path / "things" / "gizmo"
+        place.mkdir(parents=True)
+        (place / "model.urdf").write_text(urdf)
+        args = ["the gizmo", "--objects", str(place.parent), "--out", str(tmp_path / "out")]
+        expect_error(cli("demo", *args), message)
+
+    def test_own_objects_without_what_is_asked_for(self, cli, tmp_path):
+        place = tmp_path / "things" / "gizmo"
+        place.mkdir(parents=True)
+        shape = "<geometry><box size='0.05 0.05 0.05'/></geometry>"
+        (place / "model.urdf").write_text(
+            "<robot><link name='base'><inertial><mass value='0.1'/></inertial>"
+            f"<visual>{shape}</visual><collision>{shape}</collision></link></robot>"
+        )
+        args = ["the xylophone", "--objects", str(place.parent), "--out", str(tmp_path / "out")]
+        expect_error(cli("demo", *args), "'the xylophone' names nothing", "your objects are gizmo")
+
+    def test_the_folder_is_a_file(self, cli, tmp_path):
+        (tmp_path / "file").write_bytes(b"x")
+        expect_error(cli("demo", "--out", str(tmp_path / "file")), "cannot be used")
+        expect_error(cli("demo", "--out", str(tmp_path / "file" / "demo")), "cannot be used")
+
+    @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a folder that nobody can write")
+    def test_the_folder_cannot_be_written(self, cli):
+        expect_error(cli("demo", "--out", "/proc/thinkgrasp"), "cannot be used")
+
+
+def never(*_: object) -> None:
+    raise AssertionError("the work was begun")

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 
 import pytest
 
 import thinkgrasp
+from thinkgrasp.cameras.saving import save_frame
+from thinkgrasp.testing import sample_frame
 
-HEAVY = ("torch", "mujoco", "openai", "transformers", "viser", "ray", "fastapi", "matplotlib", "cv2", "open3d")
+HEAVY = (
+    *("torch", "mujoco", "trimesh", "gymnasium", "coacd", "ruckig", "ompl", "viser", "openai", "transformers"),
+    *("ray", "fastapi", "matplotlib", "cv2", "open3d"),
+)
 
 
 def modules_after(code: str) -> set[str]:
@@ -36,6 +42,24 @@ def test_the_command_starts_without_arrays():
 
 def test_making_the_pipeline_loads_no_optional_package():
     assert not modules_after("import thinkgrasp; thinkgrasp.make_pipeline('offline')") & set(HEAVY)
+
+
+def test_a_grasp_on_files_works_without_the_simulator(tmp_path):
+    """Every package of the simulator raises when it is imported."""
+    for name in ("mujoco", "trimesh", "gymnasium", "coacd", "ruckig", "ompl"):
+        (tmp_path / f"{name}.py").write_text(f"raise AssertionError('{name} is imported')")
+    color, depth, camera = save_frame(sample_frame(), tmp_path)
+    args = ["grasp", str(color), str(depth), "the red box", "--camera", str(camera), "--json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "thinkgrasp.cli", *args],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout)["status"] == "grasp"
 
 
 def test_all_names_exist_and_no_others_are_public():

@@ -1,6 +1,7 @@
 """The `thinkgrasp` command. stdout is the result, stderr the progress and errors.
 
-Exit codes: 0 a grasp, 1 no grasp or no target, 2 bad input or configuration, 3 a bug in thinkgrasp or a plug-in.
+Exit codes: 0 a grasp, or the goal in the bin; 1 neither; 2 bad input or configuration; 3 a bug in thinkgrasp or a
+plug-in; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 OVERLAY_SUFFIXES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
 DONE, NOTHING, BAD_INPUT, BUG, INTERRUPTED = 0, 1, 2, 3, 130
+ORACLE_STAGES = ("scene", "planner", "segmenter")
+"""Replaced by the simulator's truth, so that settings of theirs would do nothing."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +138,7 @@ class DemoCommand:
 
     def run(self) -> int:
         """Carry the command out and return the exit code."""
+        from thinkgrasp.config import load_config
         from thinkgrasp.demo import DemoOptions, run_demo
         from thinkgrasp.loop import END_WORDS
         from thinkgrasp.sim.options import CameraOptions, parse_size
@@ -143,14 +147,18 @@ class DemoCommand:
             _check_text(self.instruction)
         if self.steps is not None and self.steps < 1:
             raise ConfigError(f"--steps must be at least 1, got {self.steps}")
+        if not 1 <= self.port <= 65535:
+            raise ConfigError(f"--port must lie in 1 to 65535, got {self.port}")
         oracle = self.stages.preset == "oracle"
         config = _configure(replace(self.stages, preset="offline") if oracle else self.stages)
+        if oracle and any(getattr(config, s) != getattr(load_config("offline"), s) for s in ORACLE_STAGES):
+            raise ConfigError(f"--preset oracle brings its own {', '.join(ORACLE_STAGES)}; leave their settings out")
         make_folder(self.out)
         options = DemoOptions(
             instruction=self.instruction,
             task=self.task,
             objects=self.objects,
-            seed=self.stages.seed or 0,
+            seed=config.seed,
             steps=self.steps,
             visibility=self.visibility,
             video=self.video,
@@ -164,10 +172,12 @@ class DemoCommand:
         if self.json:
             print(_encodable(episode.to_json(indent=2)))
         else:
+            words: dict[str, str] = {**END_WORDS}
             print(f"{'goal delivered' if episode.success else 'goal not delivered'}: {episode.instruction}")
             print(f"  goal      {episode.goal}")
+            print(f"  preset    {episode.preset}")
             print(f"  steps     {episode.steps}")
-            print(f"  end       {episode.end}: {END_WORDS[episode.end]}")
+            print(f"  end       {episode.end}: {words[episode.end]}")
             print(f"  report    {report}")
         _progress(f"open {report}")
         return DONE if episode.success else NOTHING
@@ -217,7 +227,7 @@ class PresetsCommand:
 
     def run(self) -> int:
         """Carry the command out and return the exit code."""
-        from thinkgrasp.config import PRESET_NOTES, PRESETS
+        from thinkgrasp.config import PRESET_NOTES, PRESETS, SIMULATION_PRESETS
 
         for name, config in PRESETS.items():
             print(f"{name}: {PRESET_NOTES.get(name, '')}")
@@ -230,6 +240,8 @@ class PresetsCommand:
             }
             for stage, chosen in stages.items():
                 print(f"  {stage:<10} {chosen}")
+        for name, note in SIMULATION_PRESETS.items():
+            print(f"{name}: {note}")
         return DONE
 
 

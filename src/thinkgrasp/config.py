@@ -84,14 +84,23 @@ PRESET_NOTES: dict[str, str] = {
 }
 
 
+SIMULATION_PRESETS: dict[str, str] = {
+    "oracle": "in simulation only (thinkgrasp demo --preset oracle): names and masks are the simulator's truth",
+}
+"""Presets that are no configuration, since they need the running simulator; with their notes."""
+
+
 def load_config(preset_or_file: str | Path) -> PipelineConfig:
     """Return a preset by name, or the configuration saved in a JSON file.
 
     Raises:
-        ConfigError: Neither a preset nor a readable configuration file.
+        ConfigError: Neither a preset nor a readable configuration file; or a preset of the simulator's.
     """
-    if str(preset_or_file) in PRESETS:
-        return PRESETS[str(preset_or_file)]
+    name = str(preset_or_file)
+    if name in PRESETS:
+        return PRESETS[name]
+    if name in SIMULATION_PRESETS:
+        raise ConfigError(f"preset {name!r} belongs to the simulator: use it as thinkgrasp demo --preset {name}")
     path = Path(preset_or_file)
     if path.suffix == ".json" or path.is_file():
         try:
@@ -100,7 +109,7 @@ def load_config(preset_or_file: str | Path) -> PipelineConfig:
             raise ConfigError(f"configuration file {path} cannot be read: {error}") from error
         except ConfigError as error:
             raise ConfigError(f"configuration file {path}: {error}") from error
-    raise ConfigError(f"no preset {str(preset_or_file)!r}; {_choices(str(preset_or_file), PRESETS)}, or a .json file")
+    raise ConfigError(f"no preset {name!r}; {_choices(name, [*PRESETS, *SIMULATION_PRESETS])}, or a .json file")
 
 
 def override(config: PipelineConfig, key: str, value: object) -> PipelineConfig:

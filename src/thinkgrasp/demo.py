@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from thinkgrasp.config import PipelineConfig, to_json
+from thinkgrasp.config import PipelineConfig, make_pipeline, to_json
 from thinkgrasp.episode import VIDEO_FILE, EpisodeHeader, EpisodeModel
 from thinkgrasp.errors import ConfigError, InputError, MissingDependency
 from thinkgrasp.interfaces import Recorder
@@ -62,14 +62,14 @@ def run_demo(
     Args:
         options: What to run.
         preset: The name that is recorded; "oracle" reads the simulator's truth.
-        config: The pipeline's stages.
+        config: The pipeline's stages; saved as the loop runs them.
         camera: Which sensor looks at the cell.
         out: Folder for the records, report.html, the video and config.json.
         tell: Gets one line of progress at a time.
 
     Raises:
         InputError: The instruction names nothing that there is, or the folder cannot be used.
-        ConfigError: No such task, or a setting that cannot be used.
+        ConfigError: No such task or image size, or a setting that cannot be used.
         MissingDependency: The simulator is not installed.
     """
     try:
@@ -77,10 +77,13 @@ def run_demo(
     except ModuleNotFoundError as error:
         raise MissingDependency("mujoco-core", "sim", "the simulated episode") from error
     from thinkgrasp.sim.oracle import ORACLE
-    from thinkgrasp.testbed import Session
+    from thinkgrasp.sim.views import default_view
+    from thinkgrasp.testbed import Session, for_the_loop
 
-    tell("making the pile")
-    scene, steps = make_scene(options)
+    config = for_the_loop(config)
+    make_pipeline(config)  # what cannot be used is refused before the pile is made
+    default_view(camera.model, camera.size_wh)
+    scene, steps = make_scene(options, tell)
     names = [scene.spec.objects[g].name for g in scene.spec.goals]
     shown = ", ".join(
         f"{name} ({share:.0%} in view)" for name, share in zip(names, scene.visible_fractions, strict=True)
@@ -99,7 +102,8 @@ def run_demo(
             _show_world(session, live)
             tell(f"follow the episode at {live.url}")
         if options.video:
-            _film(session, stack.enter_context(_video(out)), scene.spec.instruction)
+            caption = scene.spec.instruction + (f" ({ORACLE})" if preset == ORACLE else "")
+            recorders.append(_Film(session, stack.enter_context(_video(out)), caption))
         episode = session.run(pipeline, step_limit=options.steps or steps, recorders=recorders).episode
     tell(f"{END_WORDS[episode.end]} after {len(episode.steps)} steps")
     model = recorder.finish(end=episode.end, success=episode.success)
@@ -107,7 +111,7 @@ def run_demo(
     return model
 
 
-def make_scene(options: DemoOptions) -> tuple[PiledScene, int]:
+def make_scene(options: DemoOptions, tell: Callable[[str], None] = lambda line: None) -> tuple[PiledScene, int]:
     """Return the pile and how many attempts there are.
 
     Raises:
@@ -125,6 +129,7 @@ def make_scene(options: DemoOptions) -> tuple[PiledScene, int]:
     if options.objects is not None:
         raise ConfigError("--task names a pile of catalogue objects; leave it out to use --objects")
     task = find_task(options.task)
+    tell(f"making the pile of {task.name}")
     scene = task.scene(options.seed, options.visibility)
     if options.instruction is not None:
         goals = goals_in(options.instruction, scene.spec.objects)
@@ -169,18 +174,30 @@ def _video(out: Path) -> VideoWriter:
     return VideoWriter(out / VIDEO_FILE, size=(camera.width, camera.height))
 
 
-def _film(session: Session, video: VideoWriter, caption: str) -> None:
-    from thinkgrasp.sim.render import render
-    from thinkgrasp.sim.views import film_view
+class _Film:
+    """Films the cell from aside; the caption says which step it is and what became of the one before."""
 
-    view = film_view()
+    def __init__(self, session: Session, video: VideoWriter, instruction: str) -> None:
+        from thinkgrasp.sim.views import film_view
 
-    def shoot() -> None:
-        world = session.world
-        video.add(render(world.model, world.data, view, world.visuals).color, caption)
+        self._world = session.world
+        self._view = film_view()
+        self._video = video
+        self._step = 1
+        self._caption = instruction
+        session.watch(self.shoot)
+        self.shoot()
 
-    session.watch(shoot)
-    shoot()
+    def shoot(self) -> None:
+        from thinkgrasp.sim.render import render
+
+        picture = render(self._world.model, self._world.data, self._view, self._world.visuals).color
+        self._video.add(picture, self._caption)
+
+    def record(self, decision: Decision, outcome: Outcome | None) -> None:
+        self._step += 1
+        reason = "not taken" if outcome is None else outcome.reason.replace("_", " ")
+        self._caption = f"step {self._step}, after {decision.plan.target}: {reason}"
 
 
 def _show_world(session: Session, live: LiveView) -> None:

@@ -6,7 +6,7 @@ reach 14 mm farther when closed than when open. Flange frame: z out of the flang
 References:
     Pivots, crank and pad of the public description (ros-industrial `robotiq_2f_85`, joints outer_knuckle, outer_finger,
     inner_finger and finger pad); the pad's thickness is set so that the stroke is 85 mm. Fully closed the tips then lie
-    162.9 mm before the flange, 149.1 mm when open, as in the maker's drawings (162.8 mm closed).
+    163.0 mm before the flange, and 149.1 mm when open; the maker's drawings say 162.8 mm closed.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ COLLISION_GROUP = 3
 GRIP_FORCE_N = 50.0
 """What each pad presses with; the 2F-85 is made for 20 to 235 N."""
 NO_FRICTION = 0.01
-"""Of everything that is no object: of two that touch MuJoCo takes the larger coefficient, so the object's counts."""
+"""Of pads, table, bin and mount: of two that touch MuJoCo takes the larger coefficient, so the object's counts."""
 _PARKED_Z_M = -5.0
 _AT_REST_M_S, _AT_REST_RAD_S = 0.01, 0.2
 _SHAPES = {
