@@ -168,9 +168,15 @@ def test_the_oracle_is_named_everywhere_and_the_video_is_made(tmp_path):
     load_config(tmp_path / "config.json")
 
 
-def test_the_oracle_is_named_for_people(cli, tmp_path):
-    result = cli("demo", *EASY, "--no-video", "--preset", "oracle", "--steps", "1", "--out", str(tmp_path))
+def test_the_oracle_is_named_for_people(cli, tmp_path, monkeypatch):
+    captions: list[str] = []
+    monkeypatch.setattr(
+        "thinkgrasp.viz.video.VideoWriter.add", lambda video, frame, caption="": captions.append(caption)
+    )
+    result = cli("demo", *EASY, "--preset", "oracle", "--steps", "2", "--out", str(tmp_path))
     assert "  preset    oracle\n" in result.out
+    assert all(caption.startswith("[oracle] ") for caption in captions)
+    assert captions[0] == "[oracle] I need a fruit"
 
 
 def test_sensor_and_noise(cli, tmp_path):

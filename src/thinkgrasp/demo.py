@@ -102,8 +102,8 @@ def run_demo(
             _show_world(session, live)
             tell(f"follow the episode at {live.url}")
         if options.video:
-            caption = scene.spec.instruction + (f" ({ORACLE})" if preset == ORACLE else "")
-            recorders.append(_Film(session, stack.enter_context(_video(out)), caption))
+            mark = f"[{ORACLE}] " if preset == ORACLE else ""
+            recorders.append(_Film(session, stack.enter_context(_video(out)), scene.spec.instruction, mark))
         episode = session.run(pipeline, step_limit=options.steps or steps, recorders=recorders).episode
     tell(f"{END_WORDS[episode.end]} after {len(episode.steps)} steps")
     model = recorder.finish(end=episode.end, success=episode.success)
@@ -175,9 +175,12 @@ def _video(out: Path) -> VideoWriter:
 
 
 class _Film:
-    """Films the cell from aside; the caption says which step it is and what became of the one before."""
+    """Films the cell from aside; the caption says which step it is and what became of the one before.
 
-    def __init__(self, session: Session, video: VideoWriter, instruction: str) -> None:
+    Every caption begins with `mark`.
+    """
+
+    def __init__(self, session: Session, video: VideoWriter, instruction: str, mark: str) -> None:
         from thinkgrasp.sim.views import film_view
 
         self._world = session.world
@@ -185,6 +188,7 @@ class _Film:
         self._video = video
         self._step = 1
         self._caption = instruction
+        self._mark = mark
         session.watch(self.shoot)
         self.shoot()
 
@@ -192,7 +196,7 @@ class _Film:
         from thinkgrasp.sim.render import render
 
         picture = render(self._world.model, self._world.data, self._view, self._world.visuals).color
-        self._video.add(picture, self._caption)
+        self._video.add(picture, self._mark + self._caption)
 
     def record(self, decision: Decision, outcome: Outcome | None) -> None:
         self._step += 1
