@@ -223,6 +223,7 @@ class TestDemo:
             (["--size", "1000x1000"], "no image size 1000x1000 for l515; allowed are 640x480, 320x240, 224x224"),
             (["--camera", "kinect"], "Expected one of ('l515', 'd455')"),
             (["--visibility", "somewhat"], "--visibility"),
+            (["--arm-planner", "RRTsun"], "no arm planner 'RRTsun'; choose one of rrt_connect, RRTstar"),
             (["--steps", "0"], "--steps must be at least 1, got 0"),
             (["--steps", "few"], "--steps"),
             (["--seed", "-1"], "seed must be a whole number of at least 0, got -1"),

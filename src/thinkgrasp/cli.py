@@ -128,6 +128,8 @@ class DemoCommand:
     """Film the episode."""
     steps: Annotated[int | None, arg(metavar="N")] = None
     """Attempts at most."""
+    arm_planner: Annotated[str, arg(metavar="NAME")] = "rrt_connect"
+    """What finds the arm's paths: rrt_connect, or with the extra ompl RRTstar, BITstar, ..."""
     live: bool = False
     """Show the running episode in the browser."""
     port: Annotated[int, arg(metavar="PORT")] = 8080
@@ -162,6 +164,7 @@ class DemoCommand:
             steps=self.steps,
             visibility=self.visibility,
             video=self.video,
+            arm_planner=self.arm_planner,
             live_port=self.port if self.live else None,
         )
         camera = CameraOptions(self.camera, parse_size(self.size), self.noise)

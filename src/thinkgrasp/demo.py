@@ -47,6 +47,8 @@ class DemoOptions:
     """Of what serves the instruction; None = the task's, or hidden where nothing was asked for."""
     video: bool = True
     live_port: int | None = None
+    arm_planner: str = "rrt_connect"
+    """Finds the arm's paths; or a planner of the OMPL such as "RRTstar"."""
 
 
 def run_demo(
@@ -76,6 +78,7 @@ def run_demo(
         import mujoco  # noqa: F401  (the simulator; everything below needs it)
     except ModuleNotFoundError as error:
         raise MissingDependency("mujoco-core", "sim", "the simulated episode") from error
+    from thinkgrasp.motion.arm import path_planner
     from thinkgrasp.sim.oracle import ORACLE
     from thinkgrasp.sim.views import default_view
     from thinkgrasp.testbed import Session, for_the_loop
@@ -83,6 +86,7 @@ def run_demo(
     config = for_the_loop(config)
     make_pipeline(config)  # what cannot be used is refused before the pile is made
     default_view(camera.model, camera.size_wh)
+    path_planner(options.arm_planner)
     scene, steps = make_scene(options, tell)
     names = [scene.spec.objects[g].name for g in scene.spec.goals]
     shown = ", ".join(
@@ -91,7 +95,7 @@ def run_demo(
     tell(f"{len(scene.spec.objects)} objects on the table; what serves {scene.spec.instruction!r}: {shown}")
     header = EpisodeHeader(instruction=scene.spec.instruction, goal=", ".join(names), preset=preset, seed=options.seed)
     with ExitStack() as stack:
-        session = Session(scene, camera, seed=options.seed)
+        session = Session(scene, camera, seed=options.seed, arm_planner=options.arm_planner)
         pipeline = session.pipeline(ORACLE if preset == ORACLE else config)
         recorder = EpisodeRecorder(out, header=header, gripper=pipeline.gripper)
         write_atomic(out / "config.json", to_json(config).encode())

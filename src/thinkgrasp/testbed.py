@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from thinkgrasp import loop
 from thinkgrasp.cameras.simulated import SimulatedCamera
 from thinkgrasp.config import PipelineConfig, StageConfig, load_config, make_pipeline
 from thinkgrasp.interfaces import Recorder
+from thinkgrasp.motion.arm import OWN_PLANNER, ArmMotion
 from thinkgrasp.pipeline import Pipeline
 from thinkgrasp.robots.simulated import SimulatedRobot, Truth
 from thinkgrasp.sim.options import CameraOptions
 from thinkgrasp.sim.oracle import ORACLE, oracle_pipeline
 from thinkgrasp.sim.scenes import PiledScene
-from thinkgrasp.sim.views import default_view, side_view
+from thinkgrasp.sim.views import CameraView, default_view, side_view
 from thinkgrasp.sim.world import World
 from thinkgrasp.types import Frame, Grasp, Outcome
 
@@ -43,8 +44,15 @@ class Session:
 
     Args:
         scene: What lies on the table.
-        camera: Which sensor, by default the L515 at 640x480; a second one of its kind looks from the side.
+        camera: Which sensor, by default the L515 at 640x480.
+        views: Where cameras stand and what they are; the first is looked through, the others where it shows no grasp.
+            By default one of `camera` faces the robot and another looks from the side.
         seed: Of the sensors' noise.
+        arm_planner: Finds the arm's paths: "rrt_connect", or a planner of the OMPL such as "RRTstar".
+
+    Raises:
+        ConfigError: A camera or planner that is not offered.
+        MissingDependency: The planner is one of the OMPL, which is not installed.
     """
 
     def __init__(
@@ -52,7 +60,9 @@ class Session:
         scene: PiledScene,
         camera: CameraOptions | None = None,
         *,
+        views: Sequence[CameraView] | None = None,
         seed: int = 0,
+        arm_planner: str = OWN_PLANNER,
     ) -> None:
         camera = camera or CameraOptions()
         self.scene = scene
@@ -60,13 +70,13 @@ class Session:
         for index, T in enumerate(scene.poses):
             self.world.place(index, T)
         self.world.settle(max_seconds=1.0)
-        self.views = tuple(view(camera.model, camera.size_wh) for view in (default_view, side_view))
+        self.views = tuple(views or (view(camera.model, camera.size_wh) for view in (default_view, side_view)))
         noise = camera.model if camera.noise else None
         self.cameras = tuple(
             SimulatedCamera(self.world, view, noise=noise, seed=seed * len(self.views) + i)
             for i, view in enumerate(self.views)
         )
-        self.robot = _Witness(SimulatedRobot(self.world))
+        self.robot = _Witness(SimulatedRobot(self.world, ArmMotion(planner=arm_planner)))
 
     @property
     def goals(self) -> tuple[int, ...]:

@@ -15,6 +15,8 @@ from thinkgrasp.errors import ConfigError
 from thinkgrasp.motion import ur5e
 from thinkgrasp.motion.cell import HOME_RAD
 from thinkgrasp.motion.collision import CarriedBox, Phase, PlanningWorld
+from thinkgrasp.motion.ompl_planner import PLANNERS as OMPL_PLANNERS
+from thinkgrasp.motion.ompl_planner import OmplPlanner
 from thinkgrasp.motion.paths import PathBudget, PathPlanner, PathQuery
 from thinkgrasp.motion.rrt_connect import rrt_connect
 from thinkgrasp.motion.straight import StraightGrasps, flange_poses, straight_grasps, straight_up
@@ -37,6 +39,23 @@ _ESCAPE_M = 0.30
 """How far up to go at most to get clear before a transfer."""
 
 
+OWN_PLANNER = "rrt_connect"
+
+
+def path_planner(name: str) -> PathPlanner:
+    """Return a planner of joint-space paths by name.
+
+    Raises:
+        ConfigError: No such planner.
+        MissingDependency: It is one of the OMPL, which is not installed.
+    """
+    if name == OWN_PLANNER:
+        return rrt_connect
+    if name not in OMPL_PLANNERS:
+        raise ConfigError(f"no arm planner {name!r}; choose one of {', '.join((OWN_PLANNER, *OMPL_PLANNERS))}")
+    return OmplPlanner(name)
+
+
 @dataclass(frozen=True, eq=False)
 class GraspMotion:
     """A whole grasp: each motion starts where the one before ends."""
@@ -53,7 +72,8 @@ class ArmMotion:
 
     Args:
         world: What may be hit; the default has what stands still in the cell.
-        planner: Finds joint-space paths: `rrt_connect`, or one of `thinkgrasp.motion.ompl_planner`.
+        planner: Finds joint-space paths: "rrt_connect", a planner of the OMPL by name ("RRTstar", as in the paper), or
+            a function of one's own.
         budget: When a path is given up.
         standoff_m: Length of the straight way in. Where it cannot start there, half as much again and twice as much are
             tried.
@@ -70,7 +90,7 @@ class ArmMotion:
         self,
         world: PlanningWorld | None = None,
         *,
-        planner: PathPlanner = rrt_connect,
+        planner: PathPlanner | str = OWN_PLANNER,
         budget: PathBudget | None = None,
         standoff_m: float = 0.10,
         lift_m: float = 0.15,
@@ -84,7 +104,7 @@ class ArmMotion:
                 f"got {standoff_m}, {lift_m}, {straight_speed}"
             )
         self.world = world or PlanningWorld()
-        self.planner = planner
+        self.planner = path_planner(planner) if isinstance(planner, str) else planner
         self.budget = budget or PathBudget()
         self.standoff_m = standoff_m
         self.lift_m = lift_m

@@ -1,0 +1,1 @@
+"""What measures the pipeline in the simulator and is no part of it."""
