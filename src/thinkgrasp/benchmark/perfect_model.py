@@ -17,7 +17,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from thinkgrasp.language.knowledge import Part
 from thinkgrasp.sim.description import known_kind
 from thinkgrasp.sim.rays import cast
 from thinkgrasp.sim.render import render
@@ -34,6 +33,8 @@ RESTS_COS = 0.5
 """Of the angle between a contact's normal and the vertical, from which on the upper thing rests on the lower one."""
 MIN_PART_SHARE = 0.05
 """Of a thing's pixels that a part must have to be held by."""
+UNNAMED_PARTS = frozenset({"body", "rim"})
+"""Who holds a thing by one of these says only the thing."""
 _ALONE_GROUP = 5
 _THUMBNAIL_PX = 48
 
@@ -74,7 +75,7 @@ def view_that_shows(world: World, views: Sequence[CameraView], picture: NDArray[
 
 @dataclass(frozen=True)
 class Spot:
-    """The cell to take a thing by, and the part that it belongs to (None: the thing as a whole)."""
+    """The cell to take a thing by, and the part to name with it (None: the thing as a whole)."""
 
     cell: int
     part: str | None
@@ -198,7 +199,7 @@ class PictureTruth:
         whole = self.labels == index
         kind = known_kind(self.name(index))
         parts = {name: mask & whole for name, mask in true_parts(self._world, self.view, index).items()}
-        part = next((p for p in _held_by(kind.take if kind else ()) if _is_seen(parts.get(p), whole)), None)
+        part = next((p.name for p in (kind.take if kind else ()) if _is_seen(parts.get(p.name), whole)), None)
         region = whole if part is None else parts[part]
         avoided = [parts[p.name] for p in (kind.avoid if kind else ()) if p.name in parts]
         safe = region & ~np.logical_or.reduce(avoided) if avoided else region
@@ -211,11 +212,7 @@ class PictureTruth:
         )
         score = np.bincount(row * grid + column, weights=np.exp(-(distance**2)), minlength=grid**2)
         score[[cell - 1 for cell in failed if 1 <= cell <= grid**2]] *= 0.01
-        return Spot(int(score.argmax()) + 1, part)
-
-
-def _held_by(take: Sequence[Part]) -> tuple[str, ...]:
-    return tuple(part.name for part in take)
+        return Spot(int(score.argmax()) + 1, None if part in UNNAMED_PARTS else part)
 
 
 def _is_seen(part: Mask | None, whole: Mask) -> bool:

@@ -1,0 +1,180 @@
+"""What the emulated model says of one picture: the truth, or something wrong, in the words that were asked for."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from thinkgrasp.benchmark.chat import Request
+from thinkgrasp.benchmark.perfect_model import PictureTruth, frozen, view_that_shows
+from thinkgrasp.testbed import Session
+from thinkgrasp.types import BoxXYXY, Role
+
+FROM_TRUTH = "[emulator: read from the simulator's truth]"
+MAX_LISTED = 6
+"""Objects that a reply speaks of."""
+JUDGED_WIDTH_PX = 320
+"""Larger pictures are judged at this width."""
+
+
+@dataclass(frozen=True)
+class Said:
+    """What there is to say, before it is put into words."""
+
+    taken: int
+    mark: int | None
+    box: BoxXYXY
+    """Of the picture [px]."""
+    cell: int
+    part: str | None
+    role: Role
+    is_goal_seen: bool
+    because: str
+
+
+class PictureAnswer:
+    """One request's picture against the truth; everything is judged at JUDGED_WIDTH_PX at most."""
+
+    def __init__(self, session: Session, request: Request, grid: int) -> None:
+        self._request = request
+        self._grid = grid
+        h, w = request.picture.shape[:2]
+        self._scale = min(1.0, JUDGED_WIDTH_PX / w)
+        size = (round(w * self._scale), round(h * self._scale))
+        small = np.asarray(Image.fromarray(request.picture).resize(size))
+        world = frozen(session.world)
+        self._truth = PictureTruth(world, view_that_shows(world, session.views, small), session.goals)
+        self._boxes = {mark: self._judged(box) for mark, box in request.marks.items()}
+        self._objects = {mark: self._truth.object_in(box) for mark, box in self._boxes.items()}
+        self._way = self._truth.best_way()
+
+    def _judged(self, box: BoxXYXY) -> BoxXYXY:
+        x0, y0, x1, y1 = (c * self._scale for c in box)
+        return math.floor(x0), math.floor(y0), math.ceil(x1), math.ceil(y1)
+
+    def _own_mark(self, index: int) -> int | None:
+        """Return the mark whose box is most like an object's, of those that show the object."""
+        own, box = [mark for mark, at in self._objects.items() if at == index], self._truth.box(index)
+        return max(own, key=lambda mark: (_overlap(self._boxes[mark], box), -mark), default=None)
+
+    def _mark_of(self, index: int) -> int | None:
+        """Return an object's own mark; where it has none, that of the smallest box that holds most of it."""
+        own, box = self._own_mark(index), self._truth.box(index)
+        if own is not None:
+            return own
+        holding = [mark for mark, other in self._boxes.items() if _intersection(other, box) > 0.5 * _area(box)]
+        return min(holding, key=lambda mark: (_area(self._boxes[mark]), mark), default=None)
+
+    @property
+    def _takeable(self) -> tuple[int, ...]:
+        """Objects that a reply can name: in view and, where there are marks, marked."""
+        marked = set(self._objects.values())
+        return tuple(i for i in self._truth.in_view if not self._boxes or i in marked)
+
+    @property
+    def _is_goal_seen(self) -> bool:
+        return bool(self._way) and self._way[0] in self._truth.in_view
+
+    def right(self) -> Said | None:
+        """Return the goal or what is in its way; None where no goal is left, or nothing of the way can be named."""
+        way = [i for i in self._way if i in self._truth.in_view]
+        named = [i for i in way if i in self._takeable] or [i for i in way if self._mark_of(i) is not None]
+        if not named:
+            return None
+        goal, last = self._way[0], named[-1]
+        names = [self._truth.name(i) for i in self._way]
+        because = "nothing is in its way" if last == goal else " is under or behind ".join(names)
+        return self._say(last, "goal" if last == goal else "obstruction", because)
+
+    def wrong(self, rng: np.random.Generator) -> Said | None:
+        """Return another object than the right one, in the same role; None where there is no other."""
+        right = self.right()
+        others = [i for i in self._takeable if right is None or i != right.taken]
+        if not others:
+            return right
+        return self._say(int(rng.choice(others)), right.role if right else "goal", "drawn by chance, to be wrong")
+
+    def _say(self, index: int, role: Role, because: str) -> Said:
+        mark = self._mark_of(index)
+        box = self._truth.box(index) if mark is None else self._boxes[mark]
+        spot = self._truth.spot(index, box, self._grid, self._request.failed_cells(mark))
+        sent = tuple(round(c / self._scale) for c in box)
+        return Said(index, mark, (sent[0], sent[1], sent[2], sent[3]), spot.cell, spot.part, role, self._is_goal_seen,
+                     because)  # fmt: skip
+
+    # -- words -------------------------------------------------------------------------------------------------------
+
+    def words(self, said: Said | None) -> str:
+        """Put an answer into the format that was asked for."""
+        if self._request.format == "text" and not self._boxes:
+            return self._text(said)
+        data = self._data(said)
+        wanted = self._request.properties or tuple(data)
+        return json.dumps({key: data[key] for key in wanted if key in data})
+
+    def _data(self, said: Said | None) -> dict[str, object]:
+        middle = (self._grid**2 + 1) // 2
+        if said is None:
+            return {
+                "visible": False, "target": "nothing", "mark": None, "role": "goal", "kind": "object", "cell": middle,
+                "objects": [], "rationale": f"{FROM_TRUTH} no goal is left to take, or nothing that leads to it",
+            }  # fmt: skip
+        return {
+            "visible": said.is_goal_seen,
+            "target": self._truth.name(said.taken),
+            "mark": said.mark,
+            "role": said.role,
+            "kind": "object" if said.part is None else "part",
+            "cell": said.cell,
+            "objects": [
+                {"name": other.name, "mark": other.mark, "grasp_score": other.score, "cell": other.cell}
+                for other in self._others(said)
+            ],
+            "rationale": f"{FROM_TRUTH} {self._truth.name(said.taken)}: {said.because}",
+        }
+
+    def _text(self, said: Said | None) -> str:
+        if said is None:
+            return f"{FROM_TRUTH} no goal is left to take.\nSelected object: none"
+        name = self._truth.name(said.taken)
+        selected = f"Selected object: {name}" if said.part is None else f"Selected object part: {name}: {said.part}"
+        lines = [f"{FROM_TRUTH} {said.because}", selected, f"Cropping box: {said.box}", "Objects:"]
+        lines += [f"- {o.name}: grasp score {o.score}, preferred cell {o.cell}" for o in self._others(said)]
+        return "\n".join(lines)
+
+    def _others(self, said: Said) -> list[_Listed]:
+        """Return what was chosen, then what else is seen in its box."""
+        listed = [_Listed(self._truth.name(said.taken), said.mark, 95, said.cell)]
+        box = self._judged(said.box)
+        for index in self._takeable:
+            if index != said.taken and _intersection(self._truth.box(index), box) > 0 and len(listed) < MAX_LISTED:
+                own = self._truth.box(index)
+                score = round(90 * self._truth.seen_share(index))
+                cell = self._truth.spot(index, own, self._grid).cell
+                listed.append(_Listed(self._truth.name(index), self._own_mark(index), score, cell))
+        return listed
+
+
+@dataclass(frozen=True)
+class _Listed:
+    name: str
+    mark: int | None
+    score: int
+    cell: int
+
+
+def _area(box: BoxXYXY) -> int:
+    return max(box[2] - box[0], 0) * max(box[3] - box[1], 0)
+
+
+def _intersection(a: BoxXYXY, b: BoxXYXY) -> int:
+    return _area((max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])))
+
+
+def _overlap(a: BoxXYXY, b: BoxXYXY) -> float:
+    common = _intersection(a, b)
+    return common / max(_area(a) + _area(b) - common, 1)
