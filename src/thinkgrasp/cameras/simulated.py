@@ -16,7 +16,7 @@ from thinkgrasp.sim.world import World
 from thinkgrasp.types import Array, Frame, Mask
 
 WORKSPACE_HEIGHT_M = (-0.02, 0.50)
-WORKSPACE_MARGIN_M = (0.06, 0.11)
+WORKSPACE_MARGIN_M = (0.06, 0.19)
 """Added around the workspace along x and y: a thing belongs to it as a whole, and one that was pushed over its edge."""
 
 

@@ -12,9 +12,11 @@ import mujoco
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from thinkgrasp.geometry import make_transform, rotation_from_quat_wxyz
 from thinkgrasp.motion.cell import WORKSPACE_M
+from thinkgrasp.sim.objects import SimObject
 from thinkgrasp.sim.world import TIMESTEP_S, World
 
 Float = NDArray[np.float64]
@@ -23,6 +25,10 @@ INTERVAL_S = 0.15
 """Simulated time between two drops; earlier ones may still be falling."""
 CLEARANCE_M = 0.01
 """What a thing that starts to fall keeps from everything below it."""
+TAKEABLE_M = 0.078
+"""Widest side that fits between the fingers with room to spare."""
+MAX_TILT_RAD = 0.8
+"""Vessels that need their rim do not fall upside down: nobody could take them, nor what lies under them."""
 FALL_M = 0.06
 """Least height of a fall."""
 SETTLE_S = 2.0
@@ -40,6 +46,11 @@ EDGE_M = 0.035
 """The same for what is put back."""
 
 
+def needs_its_rim(obj: SimObject) -> bool:
+    """Whether a vessel is so wide that a two-finger gripper can take it by the rim only."""
+    return "rim" in obj.parts and float(np.sort(np.diff(obj.bounds_m, axis=0)[0])[1]) > TAKEABLE_M
+
+
 class Pile:
     """Objects that are being dropped into a world; poses are those of the moment each began to fall."""
 
@@ -55,7 +66,7 @@ class Pile:
 
     def drop(self, index: int, xy: Float) -> None:
         """Let an object fall at xy (2,) with a random orientation, from above all that lies or falls there."""
-        self._fall(index, np.clip(xy, *np.transpose(_INNER)), self._random_rotation(), FALL_M)
+        self._fall(index, np.clip(xy, *np.transpose(_INNER)), self._random_rotation(index), FALL_M)
 
     def drop_at(self, index: int, T_world_object: Float) -> None:
         """Let an object fall from a given pose (4, 4), from higher where something is in the way."""
@@ -136,7 +147,13 @@ class Pile:
         beyond = np.abs(self.world.center(index)[:2] - _MIDDLE) > _FENCE
         return bool(beyond.any()) and self.world.speed(index)[0] > STOPPED_M_S
 
-    def _random_rotation(self) -> Float:
+    def _random_rotation(self, index: int) -> Float:
+        if needs_its_rim(self.world.objects[index]):
+            axis = self.rng.standard_normal(3) * [1, 1, 0]
+            tilt = self.rng.uniform(0, MAX_TILT_RAD) * axis / np.linalg.norm(axis)
+            return Rotation.from_rotvec([0, 0, self.rng.uniform(0, 2 * np.pi)]).as_matrix() @ (
+                Rotation.from_rotvec(tilt).as_matrix()
+            )
         return rotation_from_quat_wxyz(self.rng.standard_normal(4))
 
     def _fall(self, index: int, xy: Float, R: Float, height_m: float) -> None:

@@ -20,7 +20,7 @@ from thinkgrasp.sim import catalogue
 from thinkgrasp.sim.goals import goals_in
 from thinkgrasp.sim.objects import SimObject
 from thinkgrasp.sim.paper_cases import Layout
-from thinkgrasp.sim.piles import SCATTER_M, Pile
+from thinkgrasp.sim.piles import SCATTER_M, TAKEABLE_M, Pile, needs_its_rim
 from thinkgrasp.sim.truth import visible_fraction
 from thinkgrasp.sim.views import default_view
 from thinkgrasp.sim.world import World
@@ -39,8 +39,6 @@ CLUTTER_OBJECTS = (8, 15)
 HIDING_OBJECTS = 12
 """Fewer clutter objects seldom hide a goal completely."""
 HEAVY_OBJECTS = (20, 30)
-TAKEABLE_M = 0.078
-"""Widest side that fits between the fingers with room to spare."""
 SELECTIONS, TRIES_PER_SELECTION = 60, 2
 """How often objects are chosen, and piles made of the same objects, before it is given up."""
 VIEW_SIZE = (224, 224)
@@ -231,12 +229,11 @@ def is_takeable(obj: SimObject, T_world_object: Float) -> bool:
     A wide vessel has to show its rim: upside down there is nothing to hold. A plain block must not lie on a face of
     which both sides are wider than the gripper opens.
     """
-    sides = np.diff(obj.bounds_m, axis=0)[0]
-    if "rim" in obj.parts:
-        return bool(np.sort(sides)[1] <= TAKEABLE_M or T_world_object[2, 2] > 0.5)
+    if needs_its_rim(obj):
+        return bool(T_world_object[2, 2] > 0.5)
     if len(obj.collisions) == 1 and obj.collisions[0].shape in ("box", "hull"):
         level = np.abs(T_world_object[2, :3]) < 0.7
-        return bool((sides[level] <= TAKEABLE_M).any())
+        return bool((np.diff(obj.bounds_m, axis=0)[0][level] <= TAKEABLE_M).any())
     return True
 
 

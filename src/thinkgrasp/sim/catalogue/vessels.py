@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.random import Generator
 
@@ -11,6 +13,8 @@ from thinkgrasp.sim.catalogue.printing import RGB
 from thinkgrasp.sim.catalogue.solid import Solid, box, rod, total, tube, turned, vessel
 
 _GLAZE = 0.5
+_FOOT = 9.0
+"""Height of a foot ring [mm]."""
 
 
 def _with_rim(profile: list[tuple[float, float]], wall: float, color: RGB, rim: RGB | None = None) -> Parts:
@@ -26,12 +30,19 @@ def _with_rim(profile: list[tuple[float, float]], wall: float, color: RGB, rim: 
     )
 
 
+def _footed(parts: Parts, radius: float) -> Parts:
+    """Stand a vessel on a foot ring: what a gripper can hold it by when it lies upside down."""
+    body, *others = (replace(part, solid=part.solid.at(z=_FOOT - 1)) for part in parts)
+    foot = turned([(radius, 0), (radius - 1, _FOOT)], sides=32)
+    return (replace(body, solid=body.solid + foot), *others)
+
+
 def _cup(bottom: float, top: float, height: float, color: RGB, rim: RGB | None = None) -> Build:
     return lambda rng: _with_rim([(bottom, 0), (top, height)], 3.5, color, rim)
 
 
 def _bowl(color: RGB, rim: RGB | None = None) -> Build:
-    return lambda rng: _with_rim([(34, 0), (54, 16), (75, 56)], 4.0, color, rim)
+    return lambda rng: _footed(_with_rim([(34, 0), (54, 16), (75, 52)], 4.0, color, rim), 31)
 
 
 def _handle(radius: float, low: float, high: float, reach: float) -> Solid:
@@ -62,8 +73,11 @@ def _tea_cup(rng: Generator) -> Parts:
 
 
 def _plate(rng: Generator) -> Parts:
-    body, rim = _with_rim([(56, 0), (80, 18)], 4.5, WHITE, SKY)
-    return (body, rim)
+    return _footed(_with_rim([(56, 0), (80, 15)], 4.5, WHITE, SKY), 33)
+
+
+def _dish(rng: Generator) -> Parts:
+    return _footed(_with_rim([(50, 0), (68, 22)], 4.5, GREEN, WHITE), 33)
 
 
 def _vase(rng: Generator) -> Parts:
@@ -115,7 +129,7 @@ ENTRIES = (
     Entry("bowl", "tableware", ("red",), 0.15, 0.6, _bowl(RED, WHITE)),
     Entry("yellow bowl", "tableware", ("yellow",), 0.14, 0.6, _bowl(YELLOW)),
     Entry("plate", "tableware", ("white", "blue"), 0.3, 0.6, _plate),
-    Entry("dish", "tableware", ("green",), 0.2, 0.6, lambda rng: _with_rim([(50, 0), (68, 26)], 4.5, GREEN, WHITE)),
+    Entry("dish", "tableware", ("green",), 0.2, 0.6, _dish),
     Entry("pitcher lid", "tableware", ("blue",), 0.08, 0.6, _pitcher_lid),
     Entry("vase", "container", ("blue",), 0.4, 0.6, _vase),
     Entry("soap dish", "container", ("blue",), 0.08, 0.6, _soap_dish),
