@@ -1,0 +1,212 @@
+"""Read a reply in labelled lines, as in the published format, however it is decorated."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from thinkgrasp.planners.reply_values import MAX_NAME_CHARS, Entry, Reply, is_placeholder, plain
+
+MAX_ENTRIES = 64
+MAX_BEFORE_CHARS = 200
+
+_PUNCTUATION = str.maketrans(
+    {
+        **dict.fromkeys("“”„‟«»″", '"'),
+        **dict.fromkeys("‘’‚‛′`", "'"),
+        **dict.fromkeys("【〔〖「『［", "["),
+        **dict.fromkeys("】〕〗」』］", "]"),
+        **dict.fromkeys("–—−‐‑‒―", "-"),
+        **dict.fromkeys("、،", ","),
+        **dict.fromkeys("؛", ";"),
+        **dict.fromkeys("。｡", "."),
+        **dict.fromkeys("→⇒➜", ":"),
+        "\r": "\n",
+    }
+)
+
+_BULLET = re.compile(r"[\s>#*+\-•·▪◦●○|]*(?:\(?\d{1,2}[.)]\s+)?(?:[\s>#*+\-•·▪◦●○]+(?=\S))?")
+_NOTE = r"(?:\s*\([^()\n]{0,60}\))?"
+_SEP = rf"{_NOTE}\s*[\"']?\s*(?::+|=|\bis\b|-\s|$)\s*"
+_OPEN_SEP = rf"{_NOTE}\s*[\"']?\s*(?::+|=|-\s|\bof\b|\bis\b)?\s*"
+_LABELS = {
+    "visible": rf"(?:(?:goal|target|object)[\s_]*)?(?:is[\s_]+)?visible{_NOTE}\s*[:=?]+\s*",
+    "target": r"(?:(?:selected|chosen|picked|final|best)(?:[\s_-]*(?:target|object|item|part))*"
+    r"|target(?:[\s_-]*object)?|selection|object to (?:grasp|pick|take|move|remove)(?: up| first)?)"
+    rf"(?:\s*(?:/|\bor\b|\band\b|&)\s*(?:target\s*)?(?:object[\s_-]*)?part)?{_SEP}",
+    "header": r"objects\b[^:\n]{0,60}:",
+    "box": rf"(?:crop(?:ping|ped)?[\s_-]*(?:box|region|area)?|bounding[\s_-]*box|bbox)(?:[\s_]*coordinates?)?"
+    rf"(?:{_SEP}|\s+(?=[(\[\d]))",
+    "score": rf"(?:(?:grasp(?:ing|ability)?|success)[\s_-]*)?score\b{_OPEN_SEP}"
+    rf"|(?:graspability|ease of grasping){_SEP}",
+    "cell": r"(?:(?:preferred|best|recommended|optimal|ideal)[\s_-]*(?:grasp(?:ing)?[\s_-]*)?"
+    r"(?:grid[\s_-]*)?(?:location|cell|position|point|region)"
+    r"|grasp(?:ing)?[\s_-]*(?:location|cell|position|point|region)"
+    rf"|grid[\s_-]*(?:cell|location|position))(?:[\s_]*(?:number|no\.?))?\b{_OPEN_SEP}"
+    rf"|(?:cell|location)(?:[\s_]*(?:number|no\.?))?{_NOTE}\s*(?:[:=#]\s*|(?=\d))",
+    "mark": r"mark(?:[\s_]*(?:number|id))?\s*[:=#]\s*",
+    "role": r"role\s*[:=]\s*",
+    "kind": r"(?:kind|type)\s*[:=]\s*",
+    "rationale": r"(?:rationale|reason(?:ing)?|explanation|justification)\s*[:=]\s*",
+    "other": r"(?:material(?:[\s_]+composition)?|surface(?:[\s_]+texture)?|texture|stability(?:[\s_]+assessment)?"
+    r"|centroid(?:[\s_]+coordinates)?|colou?r|shape|size|importance|safety|confidence|notes?)\s*[:=]\s*",
+    "object": r"(?:object|item)(?:[\s_]*name)?(?:\s*#?\d{1,2})?\s*[:=]\s*|name\s*[:=]\s*",
+}
+_LABEL = re.compile(
+    r"(?<![\w/])(?:" + "|".join(f"(?P<{kind}>{pattern})" for kind, pattern in _LABELS.items()) + ")", re.IGNORECASE
+)
+_LEAD_OUT = re.compile(r"[\s,;:|(\[-]*(?:\b(?:has|with|gets|had|and)\b(?:\s+an?)?)?[\s,;:|(\[-]*$", re.IGNORECASE)
+
+
+class _Field(NamedTuple):
+    """One labelled value; kind "line" is a line without a label."""
+
+    kind: str
+    value: str
+    label: str = ""
+    before: str = ""
+    """What stands before the label on its line."""
+
+
+def read_labels(text: str) -> Reply | None:
+    """Return what the labelled lines of an undecorated text say; None where none of them names a target."""
+    fields = list(_fields(text))
+    for i, f in enumerate(fields):
+        if f.kind == "target" and re.search(r"\w", f.value) and not is_placeholder(f.value):
+            return _reply(f, fields[:i], fields[i + 1 :])
+    return None
+
+
+def undecorated(text: str) -> str:
+    """Return text in plain punctuation, without markdown, with each row of a table as labelled lines."""
+    text = unicodedata.normalize("NFKC", text.translate(_PUNCTUATION)).translate(_PUNCTUATION)
+    text = re.sub(r"<br\s*/?>|```\w*", "\n", text)
+    text = re.sub(r"\*\*|__|(?<!\w)[*_](?=\w)|(?<=[\w:.\])])\*", "", text)
+    return "\n".join(_without_tables(plain(line) for line in text.split("\n")))
+
+
+def _without_tables(lines: Iterator[str]) -> Iterator[str]:
+    header: list[str] = []
+    for line in lines:
+        if line.count("|") < 2:
+            header = []
+            yield line
+            continue
+        cells = [c.strip() for c in line.strip("| ").split("|")]
+        if all(re.fullmatch(r":?-+:?", c) for c in cells):
+            continue
+        if not header:
+            header = cells
+            continue
+        yield from (f"{name}: {value}" for name, value in zip(header, cells, strict=False))
+
+
+def _fields(text: str) -> Iterator[_Field]:
+    """Yield the labelled values in order; a label at the end of a line takes the next line as its value."""
+    pending: _Field | None = None
+    listing = False
+    for line in text.split("\n"):
+        start = _BULLET.match(line)
+        line = line[start.end() :] if start else line
+        if not line.strip():
+            continue
+        found = [m for m in _LABEL.finditer(line) if m.lastgroup != "object" or m.start() == 0 or listing]
+        if not found:
+            if pending is not None:
+                yield pending._replace(value=line)
+                pending = None
+            else:
+                yield _Field("line", line)
+            continue
+        if pending is not None:
+            yield pending
+            pending = None
+        before = line[: found[0].start()]
+        for match, after in zip(found, [*found[1:], None], strict=True):
+            kind = match.lastgroup or ""
+            listing |= kind in ("header", "box", "score", "cell")
+            value = line[match.end() : after.start() if after else len(line)].strip()
+            f = _Field(kind, value, match[0], before)
+            before = ""
+            if value or kind in ("header", "other", "rationale"):
+                yield f
+            elif after is None:
+                pending = f
+    if pending is not None:
+        yield pending
+
+
+@dataclass
+class _Draft:
+    name: str
+    score: str = ""
+    cell: str = ""
+
+    def has(self, kind: str) -> bool:
+        return bool(self.score if kind == "score" else self.cell)
+
+
+@dataclass
+class _Collector:
+    """Turns fields into a target's own values and entries of the objects listed."""
+
+    own: _Draft
+    listed: list[_Draft] = field(default_factory=list)
+    heading: str = ""
+    """The last line without a label: an object's name if a score or a cell follows."""
+
+    def add(self, f: _Field) -> None:
+        if f.kind == "line":
+            self.heading = f.value
+        elif f.kind == "header":
+            self.heading = ""
+        elif f.kind == "object":
+            self._open(f.value)
+        elif f.kind in ("score", "cell"):
+            name = _LEAD_OUT.sub("", f.before[:MAX_BEFORE_CHARS]) or (
+                self.heading if self._current.has(f.kind) or self.heading else ""
+            )
+            if re.search(r"[^\W\d_]", name) and len(name) <= MAX_NAME_CHARS:
+                self._open(name)
+            if not self._current.has(f.kind):
+                setattr(self._current, f.kind, f.value)
+
+    @property
+    def _current(self) -> _Draft:
+        return self.listed[-1] if self.listed else self.own
+
+    def _open(self, name: str) -> None:
+        self.listed.append(_Draft(name))
+        self.heading = ""
+
+
+def _reply(target: _Field, before: list[_Field], after: list[_Field]) -> Reply:
+    collector = _Collector(_Draft(target.value))
+    for f in after:
+        collector.add(f)
+    first = {f.kind: f.value for f in reversed([*before, *after])}
+    label = target.label.lower()
+    is_part = "part" in label and not re.search(r"/|&|\b(?:or|and)\b", label)
+    entries = [Entry(d.name, d.score, d.cell) for d in collector.listed]
+    if collector.own.score:
+        entries.insert(0, Entry(target.value, collector.own.score, collector.own.cell))
+    return Reply(
+        target=target.value,
+        kind="part" if is_part else first.get("kind", ""),
+        role=first.get("role", ""),
+        visible=first.get("visible", ""),
+        mark=first.get("mark", ""),
+        cell=collector.own.cell,
+        box=_untruncated(first.get("box", ""), is_last=not after or after[-1].kind == "box"),
+        rationale=first.get("rationale", ""),
+        entries=tuple(entries[:MAX_ENTRIES]),
+    )
+
+
+def _untruncated(box: str, *, is_last: bool) -> str:
+    """Return a box's text; "" where the reply was cut off within it."""
+    opened = len(re.findall(r"[(\[{]", box)) > len(re.findall(r"[)\]}]", box))
+    return "" if is_last and (opened or len(re.findall(r"\d+", box)) < 4) else box
