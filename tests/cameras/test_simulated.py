@@ -28,7 +28,7 @@ VIEW = default_view("l515", (224, 224))
 def world() -> World:
     world = World([ball(0.04, (0.8, 0.1, 0.1)), box((0.08, 0.08, 0.08), (0.1, 0.2, 0.8))])
     world.place(0, pose(0.5, 0.0, 0.04))
-    world.place(1, pose(0.18, 0.10, 0.04))  # nearer to the robot than the workspace
+    world.place(1, pose(0.12, 0.16, 0.04))  # nearer to the robot than the workspace
     mujoco.mj_forward(world.model, world.data)
     return world
 
