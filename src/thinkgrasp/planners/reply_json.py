@@ -76,6 +76,14 @@ def _with_target(value: Value, depth: int = 0) -> dict[str, Value] | None:
         return None
     if isinstance(value, dict):
         fields = _fields(value)
+        target = _get(fields, _TARGET)
+        if isinstance(target, dict) and _text(_fields(target), _NAME):
+            named = _fields(target)
+            return {
+                **named,
+                **fields,
+                "target": ": ".join(filter(None, (_text(named, _NAME), _text(named, ("part",))))),
+            }
         if any(isinstance(fields.get(key), str) for key in _TARGET) or _text(fields, _MARK):
             return fields
     inner = value.values() if isinstance(value, dict) else value
@@ -105,6 +113,8 @@ def _flat(value: Value) -> str:
 
 def _objects(text: str) -> Iterator[Value]:
     """Yield the outermost objects of a text, left to right."""
+    if text.lstrip()[:1] == '"':
+        text = "{" + text  # a server that was given the first brace leaves it out of the reply
     at = 0
     for _ in range(MAX_STARTS):
         at = text.find("{", at)

@@ -16,7 +16,7 @@ MAX_BEFORE_CHARS = 200
 _PUNCTUATION = str.maketrans(
     {
         **dict.fromkeys("“”„‟«»″", '"'),
-        **dict.fromkeys("‘’‚‛′`", "'"),
+        **dict.fromkeys("‘’‚‛′", "'"),
         **dict.fromkeys("【〔〖「『［", "["),
         **dict.fromkeys("】〕〗」』］", "]"),
         **dict.fromkeys("–—−‐‑‒―", "-"),
@@ -31,6 +31,7 @@ _PUNCTUATION = str.maketrans(
 _BULLET = re.compile(r"[\s>#*+\-•·▪◦●○|]*(?:\(?\d{1,2}[.)]\s+)?(?:[\s>#*+\-•·▪◦●○]+(?=\S))?")
 _NOTE = r"(?:\s*\([^()\n]{0,60}\))?"
 _SEP = rf"{_NOTE}\s*[\"']?\s*(?::+|=|\bis\b|-\s|$)\s*"
+_NUMBER_SEP = rf"{_NOTE}\s*(?:(?::+|=|-\s|\bof\b|\bis\b|$)\s*|(?=[(\[<]?\s*[-+~]?\d))"
 _OPEN_SEP = rf"{_NOTE}\s*[\"']?\s*(?::+|=|-\s|\bof\b|\bis\b)?\s*"
 _LABELS = {
     "visible": rf"(?:(?:goal|target|object)[\s_]*)?(?:is[\s_]+)?visible{_NOTE}\s*[:=?]+\s*",
@@ -40,7 +41,7 @@ _LABELS = {
     "header": r"objects\b[^:\n]{0,60}:",
     "box": rf"(?:crop(?:ping|ped)?[\s_-]*(?:box|region|area)?|bounding[\s_-]*box|bbox)(?:[\s_]*coordinates?)?"
     rf"(?:{_SEP}|\s+(?=[(\[\d]))",
-    "score": rf"(?:(?:grasp(?:ing|ability)?|success)[\s_-]*)?score\b{_OPEN_SEP}"
+    "score": rf"(?:(?:grasp(?:ing|ability)?|success)[\s_-]*)?score\b{_NUMBER_SEP}"
     rf"|(?:graspability|ease of grasping){_SEP}",
     "cell": r"(?:(?:preferred|best|recommended|optimal|ideal)[\s_-]*(?:grasp(?:ing)?[\s_-]*)?"
     r"(?:grid[\s_-]*)?(?:location|cell|position|point|region)"
@@ -56,8 +57,9 @@ _LABELS = {
     "object": r"(?:object|item)(?:[\s_]*name)?(?:\s*#?\d{1,2})?\s*[:=]\s*|name\s*[:=]\s*",
 }
 _LABEL = re.compile(
-    r"(?<![\w/])(?:" + "|".join(f"(?P<{kind}>{pattern})" for kind, pattern in _LABELS.items()) + ")", re.IGNORECASE
+    r"(?<![\w/\"'])(?:" + "|".join(f"(?P<{kind}>{pattern})" for kind, pattern in _LABELS.items()) + ")", re.IGNORECASE
 )
+_TABLE_RULE = re.compile(r"\|?(?:\s*:?-+:?\s*\|)+(?:\s*:?-+:?)?\s*")
 _LEAD_OUT = re.compile(r"[\s,;:|(\[-]*(?:\b(?:has|with|gets|had|and)\b(?:\s+an?)?)?[\s,;:|(\[-]*$", re.IGNORECASE)
 
 
@@ -82,38 +84,39 @@ def read_labels(text: str) -> Reply | None:
 
 def undecorated(text: str) -> str:
     """Return text in plain punctuation, without markdown, with each row of a table as labelled lines."""
+    text = re.sub(r"<br\s*/?>|```\w*", "\n", text).replace("`", "")
     text = unicodedata.normalize("NFKC", text.translate(_PUNCTUATION)).translate(_PUNCTUATION)
-    text = re.sub(r"<br\s*/?>|```\w*", "\n", text)
     text = re.sub(r"\*\*|__|(?<!\w)[*_](?=\w)|(?<=[\w:.\])])\*", "", text)
-    return "\n".join(_without_tables(plain(line) for line in text.split("\n")))
+    return "\n".join(_without_tables([plain(line) for line in text.split("\n")]))
 
 
-def _without_tables(lines: Iterator[str]) -> Iterator[str]:
+def _without_tables(lines: list[str]) -> Iterator[str]:
+    """Yield the lines; a table, known by the rule below its header, as "header: value" lines."""
     header: list[str] = []
-    for line in lines:
-        if line.count("|") < 2:
-            header = []
+    for line, below in zip(lines, [*lines[1:], ""], strict=True):
+        if header and "|" in line:
+            if not _TABLE_RULE.fullmatch(line):
+                yield from (f"{name}: {value}" for name, value in zip(header, _cells(line), strict=False))
+            continue
+        is_header = "|" in line and _TABLE_RULE.fullmatch(below) is not None
+        header = _cells(line) if is_header else []
+        if not is_header:
             yield line
-            continue
-        cells = [c.strip() for c in line.strip("| ").split("|")]
-        if all(re.fullmatch(r":?-+:?", c) for c in cells):
-            continue
-        if not header:
-            header = cells
-            continue
-        yield from (f"{name}: {value}" for name, value in zip(header, cells, strict=False))
+
+
+def _cells(row: str) -> list[str]:
+    return [c.strip() for c in row.strip("| ").split("|")]
 
 
 def _fields(text: str) -> Iterator[_Field]:
     """Yield the labelled values in order; a label at the end of a line takes the next line as its value."""
     pending: _Field | None = None
-    listing = False
     for line in text.split("\n"):
         start = _BULLET.match(line)
         line = line[start.end() :] if start else line
         if not line.strip():
             continue
-        found = [m for m in _LABEL.finditer(line) if m.lastgroup != "object" or m.start() == 0 or listing]
+        found = list(_labels(line))
         if not found:
             if pending is not None:
                 yield pending._replace(value=line)
@@ -127,7 +130,6 @@ def _fields(text: str) -> Iterator[_Field]:
         before = line[: found[0].start()]
         for match, after in zip(found, [*found[1:], None], strict=True):
             kind = match.lastgroup or ""
-            listing |= kind in ("header", "box", "score", "cell")
             value = line[match.end() : after.start() if after else len(line)].strip()
             f = _Field(kind, value, match[0], before)
             before = ""
@@ -137,6 +139,15 @@ def _fields(text: str) -> Iterator[_Field]:
                 pending = f
     if pending is not None:
         yield pending
+
+
+def _labels(line: str) -> Iterator[re.Match[str]]:
+    """Yield a line's labels; "object:" is one at the line's start or behind other labels, not in "[object: mug]"."""
+    listing = False
+    for match in _LABEL.finditer(line):
+        if match.lastgroup != "object" or match.start() == 0 or listing:
+            yield match
+        listing |= match.lastgroup in ("header", "box", "score", "cell")
 
 
 @dataclass

@@ -60,7 +60,7 @@ _NOTHING = re.compile(
     r"(?! ?-)|[-.?]*$",
     re.IGNORECASE,
 )
-_PREFIX = re.compile(r"(?:(object[\s_-]*part|part)\b\s*[:=]?|(?:object|target)\s*[:=])\s*", re.IGNORECASE)
+_PREFIX = re.compile(r"(?:(object[\s_-]*part\b\s*[:=]?|part\s*[:=])|(?:object|target)\s*[:=])\s*", re.IGNORECASE)
 _AFTERTHOUGHT = re.compile(
     r"(?:[\s,;.]|\s-)*\b(?:because|since|as (?:it|the)|which|so that|due to)\b.*$|\.\s.*$", re.IGNORECASE | re.DOTALL
 )
@@ -104,8 +104,6 @@ def read_target(text: str) -> Target:
     value = _bare(bracketed[1] if bracketed and bracketed[1].strip() else value)
     is_part = False
     while prefix := _PREFIX.match(value):
-        if not value[prefix.end() :].strip():
-            break
         is_part |= prefix[1] is not None
         value = _bare(value[prefix.end() :])
     second = re.search(r"[,;]\s*(?:object\s*)?part\s*[:=]", value, re.IGNORECASE)
@@ -126,7 +124,7 @@ def read_target(text: str) -> Target:
 
 
 def _bare(text: str) -> str:
-    return text.strip(" \t\"'`[](){}<>,;.:*|=")
+    return text.strip(" \t\"'`[](){}<>,;.:*|=_")
 
 
 def read_mark(text: str) -> int | None:
