@@ -132,15 +132,16 @@ def test_it_names_the_goal_and_says_that_it_is_an_emulator(session, picture):
     assert plan["objects"][0]["name"] == "pear"
     usage = got.body["usage"]
     assert usage["total_tokens"] == usage["prompt_tokens"] + usage["completion_tokens"]
-    assert emulator.served[0].kind == "right"
-    assert emulator.served[0].taken == 0
+    served = emulator.served[0]
+    assert (served.kind, served.taken, served.role) == ("right", 0, "goal")
+    assert (served.prompt_tokens, served.completion_tokens) == (usage["prompt_tokens"], usage["completion_tokens"])
 
 
 def test_a_picture_with_an_instruction_alone_is_answered_in_text(session, picture):
     with VlmEmulator(session) as emulator:
         got = post(emulator, request(picture))
     lines = got.text.splitlines()
-    assert lines[0].startswith(FROM_TRUTH)
+    assert lines[0].startswith(f"Rationale: {FROM_TRUTH}")
     assert lines[1] == "Selected object: pear"
     box = tuple(map(int, re.findall(r"\d+", lines[2])))
     v, u = np.nonzero(true_labels(session.world, session.views[0]) == 0)

@@ -139,6 +139,8 @@ class Reply:
     status: int
     body: Mapping[str, object]
     headers: tuple[tuple[str, str], ...] = ()
+    tokens: tuple[int, int] = (0, 0)
+    """Of the prompt and of the completion."""
 
 
 def error_reply(status: int, code: str, message: str, headers: tuple[tuple[str, str], ...] = ()) -> Reply:
@@ -170,4 +172,4 @@ def completion(request: Request, index: int, text: str, *, is_refusal: bool = Fa
         "choices": [{"index": 0, "message": message, "finish_reason": "stop", "logprobs": None}],
         "usage": {"prompt_tokens": prompt, "completion_tokens": reply, "total_tokens": prompt + reply},
     }
-    return Reply(200, body)
+    return Reply(200, body, tokens=(prompt, reply))

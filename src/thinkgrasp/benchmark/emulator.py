@@ -64,6 +64,9 @@ class Served:
     taken: int | None = None
     """Index of the object that the reply was about."""
     role: Role = "goal"
+    prompt_tokens: int = 0
+    """As the reply says, made up."""
+    completion_tokens: int = 0
 
 
 class VlmEmulator:
@@ -129,7 +132,8 @@ class VlmEmulator:
                 reply, served = self._answer(body, index)
             except InputError as error:
                 reply, served = error_reply(400, "invalid_request_error", str(error)), Served("bad_request")
-            self.served.append(served)
+            prompt_tokens, completion_tokens = reply.tokens
+            self.served.append(replace(served, prompt_tokens=prompt_tokens, completion_tokens=completion_tokens))
         self._closing.wait(self.quality.delay_s)
         return reply
 

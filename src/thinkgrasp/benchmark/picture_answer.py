@@ -139,10 +139,10 @@ class PictureAnswer:
 
     def _text(self, said: Said | None) -> str:
         if said is None:
-            return f"{FROM_TRUTH} no goal is left to take.\nSelected object: none"
+            return f"Rationale: {FROM_TRUTH} no goal is left to take\nSelected object: none"
         name = self._truth.name(said.taken)
         selected = f"Selected object: {name}" if said.part is None else f"Selected object part: {name}: {said.part}"
-        lines = [f"{FROM_TRUTH} {said.because}", selected, f"Cropping box: {said.box}", "Objects:"]
+        lines = [f"Rationale: {FROM_TRUTH} {said.because}", selected, f"Cropping box: {said.box}", "Objects:"]
         lines += [f"- {o.name}: grasp score {o.score}, preferred cell {o.cell}" for o in self._others(said)]
         return "\n".join(lines)
 
