@@ -54,7 +54,17 @@ class Target(NamedTuple):
 
 _NUMBER = r"[-+]?(?:\d+(?:\.\d+)?|\.\d+)(?:e[-+]?\d+)?"
 _FREE_NUMBER = re.compile(rf"(?<![A-Za-z_\d.]){_NUMBER}", re.IGNORECASE)
-_PLACEHOLDERS = {"name", "object", "part", "object name", "object or part", "object: part", "color and name", "target"}
+_PLACEHOLDERS = {
+    "name",
+    "object",
+    "part",
+    "object name",
+    "object or part",
+    "object part",
+    "object: part",
+    "color and name",
+    "target",
+}
 _NOTHING = re.compile(
     r"(?:none|nothing|null|n/a|not (?:visible|found|applicable)|no (?:\w+ )?(?:objects?|targets?|parts?))\b"
     r"(?! ?-)|[-.?]*$",
@@ -94,7 +104,7 @@ def read_target(text: str) -> Target:
     """Read "red mug", "[object: red mug]", "[object part: knife: handle]" or "knife: handle".
 
     Returns:
-        The name, with the part behind the object ("knife handle"); "" where nothing is left.
+        The name, with the part behind the object ("knife handle"); "" where nothing is left but the form's own words.
     """
     value = plain(text[:MAX_VALUE_CHARS])
     beside = _BESIDE_MARK.search(value)
@@ -120,7 +130,8 @@ def read_target(text: str) -> Target:
     if is_part:
         value = re.sub(r"[,;/]|->", " ", value)
     name = _ARTICLE.sub("", _bare(" ".join(value.split())), count=1)
-    return Target(name[:MAX_NAME_CHARS].strip(), "part" if is_part else "object", beside[1] if beside else "")
+    name = "" if is_placeholder(name) else name[:MAX_NAME_CHARS].strip()
+    return Target(name, "part" if is_part else "object", beside[1] if beside else "")
 
 
 def _bare(text: str) -> str:
