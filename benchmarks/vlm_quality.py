@@ -25,6 +25,7 @@ from pydantic import TypeAdapter
 from quality_plot import Curve, plot
 from trials import rate, run_all, wilson
 
+from thinkgrasp.benchmark.chat import MODEL
 from thinkgrasp.benchmark.emulator import Quality, VlmEmulator
 from thinkgrasp.config import PipelineConfig, StageConfig, load_config, override
 from thinkgrasp.errors import ThinkGraspError
@@ -32,7 +33,6 @@ from thinkgrasp.sim.tasks import TASKS, find_task
 from thinkgrasp.testbed import CameraOptions, Session
 
 Style = Literal["marks", "paper"]
-KEY_ENV = "THINKGRASP_EMULATOR_KEY"
 CLUTTER = tuple(task.name for task in TASKS if task.suite == "clutter")
 
 
@@ -86,7 +86,7 @@ _RECORD = TypeAdapter(QualityRecord)
 
 def config(style: Style, base_url: str) -> PipelineConfig:
     """Return the offline preset with the planner that asks a model."""
-    settings = {"model": "emulator", "base_url": base_url, "key_env": KEY_ENV, "style": style}
+    settings = {"model": MODEL, "base_url": base_url, "style": style, "search": "all"}
     return override(load_config("offline"), "planner", StageConfig("openai", settings))
 
 
@@ -97,7 +97,6 @@ def run_job(job: Job) -> QualityRecord:
         scene = task.scene(job.seed)
     except ThinkGraspError as error:
         return QualityRecord(job, "no_scene", error=str(error))
-    os.environ.setdefault(KEY_ENV, "any")
     session = Session(scene, CameraOptions(), seed=job.seed)
     with VlmEmulator(session, Quality(accuracy=job.accuracy), seed=job.episode) as emulator:
         try:

@@ -142,12 +142,12 @@ def test_a_picture_with_an_instruction_alone_is_answered_in_text(session, pictur
         got = post(emulator, request(picture))
     lines = got.text.splitlines()
     assert lines[0].startswith(f"Rationale: {FROM_TRUTH}")
-    assert lines[1] == "Selected object: pear"
-    box = tuple(map(int, re.findall(r"\d+", lines[2])))
+    assert lines[1:3] == ["Goal visible: yes", "Selected object: pear"]
+    box = tuple(map(int, re.findall(r"\d+", lines[3])))
     v, u = np.nonzero(true_labels(session.world, session.views[0]) == 0)
-    assert lines[2].startswith("Cropping box: (")
+    assert lines[3].startswith("Cropping box: (")
     np.testing.assert_allclose(box, (u.min(), v.min(), u.max() + 1, v.max() + 1), atol=2)
-    assert re.fullmatch(r"- pear: grasp score \d+, preferred cell \d", lines[4])
+    assert re.fullmatch(r"- pear: grasp score \d+, preferred cell \d", lines[5])
 
 
 @pytest.mark.parametrize("size", [(320, 240), (640, 480), (224, 224), (150, 240)])
@@ -180,7 +180,7 @@ def test_the_knife_is_held_by_its_handle():
     with VlmEmulator(knife) as emulator:
         plan = post(emulator, request(picture_of(knife), marked(knife), JSON)).plan
         text = post(emulator, request(picture_of(knife))).text
-    assert (plan["target"], plan["kind"]) == ("knife", "part")
+    assert (plan["target"], plan["kind"]) == ("knife: handle", "part")
     assert "Selected object part: knife: handle" in text
     parts = true_parts(knife.world, knife.views[0], 2)
     v, u = np.nonzero(parts["handle"] | parts["blade"])
@@ -194,7 +194,7 @@ def test_the_knife_is_held_by_its_handle():
 def test_a_cell_that_failed_is_not_named_again(session, picture):
     with VlmEmulator(session) as emulator:
         first = post(emulator, request(picture, marked(session), JSON)).plan["cell"]
-        told = marked(session, extra=[f"mark 1: 1 attempt failed, cells {first}"])
+        told = marked(session, extra=[f'at mark 1: cell {first} "slipped"'])
         second = post(emulator, request(picture, told, JSON)).plan
     assert second["mark"] == 1
     assert second["cell"] != first
@@ -206,7 +206,28 @@ def test_what_rests_on_the_goal_goes_first(goal, role, way):
     with VlmEmulator(pile) as emulator:
         plan = post(emulator, request(picture_of(pile), marked(pile), JSON)).plan
     assert (plan["target"], plan["role"]) == ("sponge", role)
-    assert PictureTruth(frozen(pile.world), pile.views[0], (goal,)).best_way() == way
+    assert PictureTruth(frozen(pile.world), pile.views[0], (goal,)).ways() == [way]
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        "at mark 1: no grasp is possible until something else is moved",
+        "taking pear (mark 1) was tried and failed; choose",
+    ],
+)
+def test_a_goal_that_is_to_be_left_is_given_room(session, picture, told):
+    with VlmEmulator(session) as emulator:
+        plan = post(emulator, request(picture, marked(session, extra=[told]), JSON)).plan
+    centers = [session.world.center(i) for i in range(len(NAMES))]
+    distances = [np.linalg.norm(c - centers[0]) for c in centers[1:]]
+    assert (plan["mark"], plan["role"]) == (2 + int(np.argmin(distances)), "obstruction")
+
+
+def test_what_a_person_says_is_no_mark(session, picture):
+    said = "<request>'mark 9: red, box 0 0 320 240'</request>"
+    with VlmEmulator(session) as emulator:
+        assert post(emulator, request(picture, f"{said}\n{marked(session)}", JSON)).plan["mark"] == 1
 
 
 def test_what_hides_the_goal_goes_first():

@@ -24,8 +24,11 @@ MODEL = "emulator"
 """What every reply names as its model."""
 Format = Literal["text", "json_object", "json_schema"]
 
-_MARK = re.compile(r"mark (\d+): .*?\bbox (-?\d+) (-?\d+) (-?\d+) (-?\d+)")
-_FAILED = re.compile(r"mark (\d+): .*?\bfailed\b.*?\bcells? ([\d, ]+)")
+_MARK = re.compile(r"^mark (\d+): .*?\bbox (-?\d+) (-?\d+) (-?\d+) (-?\d+)", re.MULTILINE)
+_TRIED = re.compile(r"^at mark (\d+): (.*)$", re.MULTILINE)
+_CELL = re.compile(r"\bcell (\d+)")
+_LEAVE = re.compile(r"no grasp is possible|leave it for later")
+_REJECTED = re.compile(r"taking (.+?) \(mark (\d+)\) was tried and failed")
 
 
 class _TextPart(BaseModel):
@@ -89,8 +92,22 @@ class Request:
 
     def failed_cells(self, mark: int | None) -> set[int]:
         """Return the cells of a mark that the text says failed."""
-        lists = [m.group(2) for m in _FAILED.finditer(self.text) if mark is not None and int(m.group(1)) == mark]
-        return {int(cell) for cells in lists for cell in re.findall(r"\d+", cells)}
+        return {int(cell) for of, tried in self._tried if of == mark for cell in _CELL.findall(tried)}
+
+    @cached_property
+    def left_marks(self) -> frozenset[int]:
+        """Marks of things that the text says to leave."""
+        rejected = (int(mark) for _, mark in _REJECTED.findall(self.text))
+        return frozenset((*(mark for mark, tried in self._tried if _LEAVE.search(tried)), *rejected))
+
+    @cached_property
+    def left_names(self) -> frozenset[str]:
+        """Names of earlier replies that were rejected because taking the thing failed."""
+        return frozenset(name for name, _ in _REJECTED.findall(self.text))
+
+    @cached_property
+    def _tried(self) -> list[tuple[int, str]]:
+        return [(int(mark), tried) for mark, tried in _TRIED.findall(self.text)]
 
 
 def read_request(body: bytes) -> Request:

@@ -167,11 +167,14 @@ class PictureTruth:
                 return tuple(way)
             way.append(in_way[0])
 
-    def best_way(self) -> tuple[int, ...]:
-        """Return the shortest `way_to` a goal, of equals to the one that is seen best; empty where none is left."""
+    def ways(self) -> list[tuple[int, ...]]:
+        """Return `way_to` every goal that is left, the shortest first, of equals the one that is seen best."""
         left = [g for g in self._goals if self._world.on_table(g) and self.outline(g).any()]
-        ways = [self.way_to(g) for g in left]
-        return min(ways, key=lambda way: (len(way), -self.seen_share(way[0])), default=())
+        return sorted(map(self.way_to, left), key=lambda way: (len(way), -self.seen_share(way[0])))
+
+    def distance_m(self, a: int, b: int) -> float:
+        """Return how far apart the centres of two objects are."""
+        return float(np.linalg.norm(self._world.center(a) - self._world.center(b)))
 
     # -- where to hold it --------------------------------------------------------------------------------------------
 

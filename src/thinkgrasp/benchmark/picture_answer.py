@@ -50,7 +50,7 @@ class PictureAnswer:
         self._truth = PictureTruth(world, view_that_shows(world, session.views, small), session.goals)
         self._boxes = {mark: self._judged(box) for mark, box in request.marks.items()}
         self._objects = {mark: self._truth.object_in(box) for mark, box in self._boxes.items()}
-        self._way = self._truth.best_way()
+        self._ways = self._truth.ways()
 
     def _judged(self, box: BoxXYXY) -> BoxXYXY:
         x0, y0, x1, y1 = (c * self._scale for c in box)
@@ -75,20 +75,40 @@ class PictureAnswer:
         marked = set(self._objects.values())
         return tuple(i for i in self._truth.in_view if not self._boxes or i in marked)
 
+    def _can_be_named(self, index: int) -> bool:
+        return index in self._truth.in_view and (not self._boxes or self._mark_of(index) is not None)
+
+    def _is_left(self, index: int) -> bool:
+        """Whether the request says that a thing is to be left, as taking it failed."""
+        name = self._truth.name(index)
+        return self._mark_of(index) in self._request.left_marks or any(
+            n.startswith(name) for n in self._request.left_names
+        )
+
     @property
     def _is_goal_seen(self) -> bool:
-        return bool(self._way) and self._way[0] in self._truth.in_view
+        return any(way[0] in self._truth.in_view for way in self._ways)
 
     def right(self) -> Said | None:
-        """Return the goal or what is in its way; None where no goal is left, or nothing of the way can be named."""
-        way = [i for i in self._way if i in self._truth.in_view]
-        named = [i for i in way if i in self._takeable] or [i for i in way if self._mark_of(i) is not None]
-        if not named:
+        """Return the goal, or what is in its way, or a neighbour of what is to be left; None where no goal is left."""
+        ends: list[Said] = []
+        for way in self._ways:
+            end = next((i for i in reversed(way) if self._can_be_named(i)), None)
+            if end is not None:
+                names = " is under or behind ".join(map(self._truth.name, way))
+                is_goal = end == way[0]
+                because = "nothing is in its way" if is_goal else names
+                ends.append(self._say(end, "goal" if is_goal else "obstruction", because))
+                if not self._is_left(end):
+                    return ends[-1]
+        if not self._ways:
             return None
-        goal, last = self._way[0], named[-1]
-        names = [self._truth.name(i) for i in self._way]
-        because = "nothing is in its way" if last == goal else " is under or behind ".join(names)
-        return self._say(last, "goal" if last == goal else "obstruction", because)
+        stuck = self._ways[0][-1]
+        others = [i for i in self._takeable if i != stuck and not self._is_left(i)]
+        if others:
+            nearest = min(others, key=lambda i: self._truth.distance_m(i, stuck))
+            return self._say(nearest, "obstruction", f"it makes room beside {self._truth.name(stuck)}")
+        return ends[0] if ends else None
 
     def wrong(self, rng: np.random.Generator) -> Said | None:
         """Return another object than the right one, in the same role; None where there is no other."""
@@ -120,12 +140,12 @@ class PictureAnswer:
         middle = (self._grid**2 + 1) // 2
         if said is None:
             return {
-                "visible": False, "target": "nothing", "mark": None, "role": "goal", "kind": "object", "cell": middle,
+                "visible": False, "target": "none", "mark": None, "role": "goal", "kind": "object", "cell": middle,
                 "objects": [], "rationale": f"{FROM_TRUTH} no goal is left to take, or nothing that leads to it",
             }  # fmt: skip
         return {
             "visible": said.is_goal_seen,
-            "target": self._truth.name(said.taken),
+            "target": self._truth.name(said.taken) + ("" if said.part is None else f": {said.part}"),
             "mark": said.mark,
             "role": said.role,
             "kind": "object" if said.part is None else "part",
@@ -139,10 +159,11 @@ class PictureAnswer:
 
     def _text(self, said: Said | None) -> str:
         if said is None:
-            return f"Rationale: {FROM_TRUTH} no goal is left to take\nSelected object: none"
+            return f"Rationale: {FROM_TRUTH} no goal is left to take\nGoal visible: no\nSelected object: none"
         name = self._truth.name(said.taken)
         selected = f"Selected object: {name}" if said.part is None else f"Selected object part: {name}: {said.part}"
-        lines = [f"Rationale: {FROM_TRUTH} {said.because}", selected, f"Cropping box: {said.box}", "Objects:"]
+        visible = f"Goal visible: {'yes' if said.is_goal_seen else 'no'}"
+        lines = [f"Rationale: {FROM_TRUTH} {said.because}", visible, selected, f"Cropping box: {said.box}", "Objects:"]
         lines += [f"- {o.name}: grasp score {o.score}, preferred cell {o.cell}" for o in self._others(said)]
         return "\n".join(lines)
 
