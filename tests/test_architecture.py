@@ -30,7 +30,7 @@ ORDER = [
     ["viz"],
     ["recorder"],
     ["testbed"],
-    ["environment", "demo"],
+    ["environment", "demo", "benchmark"],
     ["testing"],
     ["doctor", "summary"],
     ["server"],
