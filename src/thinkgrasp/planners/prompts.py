@@ -52,6 +52,8 @@ class Prompt:
     """JSON schema of the reply; None = labelled lines."""
     scale: float
     """Sent pixels per frame pixel."""
+    frame_wh: tuple[int, int]
+    """Size of the frame [px]."""
     style: Style
 
 
@@ -86,6 +88,7 @@ def marks_prompt(scene: Scene, instruction: str, memory: Memory, *, grid: int = 
         image=draw_marks(scene.frame.color, proposals, (w, h)),
         schema=reply_schema(grid),
         scale=scale,
+        frame_wh=(camera.width, camera.height),
         style="marks",
     )
 
@@ -111,17 +114,19 @@ def paper_prompt(
     )
     image = resized(scene.frame.color, (w, h))
     system = _PAPER_SYSTEM.format(cells=_cells(grid), last=grid * grid, middle=(grid * grid + 1) // 2)
-    return Prompt(system, text, image, None, scale, "paper")
+    return Prompt(system, text, image, None, scale, (camera.width, camera.height), "paper")
 
 
 def to_frame(plan: Plan, prompt: Prompt) -> Plan:
     """Return a plan with its box in pixels of the frame instead of those of the picture sent."""
-    if plan.crop_xyxy is None or prompt.scale == 1:
+    if plan.crop_xyxy is None:
         return plan
-    h, w = (round(side / prompt.scale) for side in prompt.image.shape[:2])
-    x0, y0, x1, y1 = (round(side / prompt.scale) for side in plan.crop_xyxy)
-    x0, y0 = min(x0, w - 1), min(y0, h - 1)
-    return replace(plan, crop_xyxy=(x0, y0, min(max(x1, x0 + 1), w), min(max(y1, y0 + 1), h)))
+    w, h = prompt.frame_wh
+    across, down = w / prompt.image.shape[1], h / prompt.image.shape[0]
+    x0, y0, x1, y1 = plan.crop_xyxy
+    left, top = min(round(x0 * across), w - 1), min(round(y0 * down), h - 1)
+    right, bottom = min(max(round(x1 * across), left + 1), w), min(max(round(y1 * down), top + 1), h)
+    return replace(plan, crop_xyxy=(left, top, right, bottom))
 
 
 def quoted(text: str, limit: int = MAX_NAME_CHARS) -> str:
@@ -162,8 +167,8 @@ def _cells(grid: int) -> str:
         return "The grid over a thing's box has the one cell 1."
     n = grid * grid
     return (
-        f"Lay a grid of {grid} x {grid} cells over the box of the thing to take and number them row by row: 1 is the "
-        f"top-left one, {grid} the top-right one, {n - grid + 1} the bottom-left one, {n} the bottom-right one."
+        f"Lay a grid of {grid} x {grid} cells over the box of the thing to take, numbered row by row: 1 is the\n"
+        f"top-left cell, {grid} the top-right one, {n - grid + 1} the bottom-left one, {n} the bottom-right one."
     )
 
 
@@ -237,9 +242,9 @@ How to choose:
 - Take a thing by a part of it (kind "part", target "thing: part") where that is safer or easier: a knife by its handle.
 - Do not repeat what failed; take another cell, or another thing.
 - If nothing in view is worth taking, answer with target "none" and mark null.
-{cells} Choose the cell where two fingers hold the thing
-best: on its own surface, clear of its neighbours, near its middle, on the rim of a hollow thing, away from what cuts or
-breaks.
+{cells}
+Choose the cell where two fingers hold the thing best: on its own surface, clear of its neighbours, near its middle, on
+the rim of a hollow thing, away from what cuts or breaks.
 
 Answer with one JSON object and nothing else:
 rationale: one or two sentences; visible: whether the goal is in view; target: short name of what to take, with its
@@ -257,8 +262,9 @@ Work in this order:
    knife's handle. If it is not in view, select the object that is most cost-effective to move: likely to hide the goal,
    easy to grasp and safe.
 3. Give a cropping box, in pixels of the picture, around the selection and the objects that matter for grasping it.
-4. For each object in that box give a grasp score from 0 (cannot be held) to 100 (easy) and a preferred cell.
-   {cells} Choose where two fingers hold it best.
+4. For each object in that box give a grasp score from 0 (cannot be held) to 100 (easy) and a preferred cell, where two
+   fingers hold it best.
+{cells}
 
 Answer in these lines and nothing else. Write "Selected object part: <object>: <part>" for a part, and
 "Selected object: none" if nothing in view is worth taking.
