@@ -277,6 +277,12 @@ def test_accuracy_zero_is_always_another_thing_and_one_seed_is_one_sequence(sess
     assert wrong != [got.plan["mark"] for got in answers(session, Quality(accuracy=0), 8, seed=1)]
 
 
+def test_a_wrong_answer_is_never_a_goal():
+    pile = stacked("sponge", "cracker box", goal=1)  # the sponge goes first
+    for got in answers(pile, Quality(accuracy=0), 3):
+        assert (got.plan["visible"], got.plan["mark"]) == (False, None)
+
+
 def test_half_right(session):
     marks = [got.plan["mark"] for got in answers(session, Quality(accuracy=0.5), 24)]
     assert 6 <= sum(mark == 1 for mark in marks) <= 18

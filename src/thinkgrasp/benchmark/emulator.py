@@ -38,7 +38,7 @@ class Quality:
     """
 
     accuracy: float = 1.0
-    """Of naming the right thing to take; else any other one that is seen, called by its own name."""
+    """Of naming the right thing to take; else another one that is seen and no goal, called by its own name."""
     wrong_cell: float = 0.0
     malformed: float = 0.0
     """Empty, cut off, not of the format asked for, or without any answer."""

@@ -40,6 +40,7 @@ class PictureAnswer:
     """One request's picture against the truth; everything is judged at JUDGED_WIDTH_PX at most."""
 
     def __init__(self, session: Session, request: Request, grid: int) -> None:
+        self._session = session
         self._request = request
         self._grid = grid
         h, w = request.picture.shape[:2]
@@ -111,11 +112,11 @@ class PictureAnswer:
         return ends[0] if ends else None
 
     def wrong(self, rng: np.random.Generator) -> Said | None:
-        """Return another object than the right one, in the same role; None where there is no other."""
-        right = self.right()
-        others = [i for i in self._takeable if right is None or i != right.taken]
+        """Return another object than the right one and than the goals, in the same role; None where there is none."""
+        right, goals = self.right(), self._session.goals
+        others = [i for i in self._takeable if i not in goals and (right is None or i != right.taken)]
         if not others:
-            return right
+            return None
         return self._say(int(rng.choice(others)), right.role if right else "goal", "drawn by chance, to be wrong")
 
     def _say(self, index: int, role: Role, because: str) -> Said:
