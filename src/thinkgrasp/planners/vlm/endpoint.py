@@ -103,8 +103,12 @@ class Endpoint:
             raw = self._client.chat.completions.with_raw_response.create(**cast(Any, dict(body)), timeout=timeout_s)
         except openai.APITimeoutError:
             raise RequestFailed(f"no reply within {timeout_s:.3g} s", transient=True) from None
+        except _UnusableBody as error:
+            raise RequestFailed(str(error), transient=False) from None
         except openai.APIConnectionError as error:
             raise self._no_connection(error.__cause__ or error) from None
+        except (httpx2.HTTPError, httpx2.InvalidURL, httpx2.StreamError, OSError) as error:
+            raise self._no_connection(error) from None
         except openai.APIStatusError as error:
             raise self._error_reply(error) from None
         except openai.OpenAIError as error:
@@ -113,8 +117,6 @@ class Endpoint:
         return self._read(response.content, response.headers.get("content-type", "no content type"))
 
     def _no_connection(self, cause: BaseException) -> RequestFailed:
-        if isinstance(cause, _UnusableBody):
-            return RequestFailed(str(cause), transient=False)
         reason = f"{self.url} cannot be reached ({type(cause).__name__}: {self._quote(str(cause))})"
         return RequestFailed(reason, transient=True)
 
