@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from thinkgrasp.planners.reply_values import MAX_NAME_CHARS, Entry, Reply, is_placeholder, plain
+from thinkgrasp.planners.reply_values import MAX_NAME_CHARS, Entry, Reply, is_nothing, is_placeholder, plain
 
 MAX_ENTRIES = 64
 MAX_BEFORE_CHARS = 200
@@ -76,15 +76,28 @@ class _Field(NamedTuple):
 def read_labels(text: str) -> Reply | None:
     """Return what the labelled lines of an undecorated text say; None where none of them names a target."""
     fields = list(_fields(text))
-    for i, f in enumerate(fields):
-        if f.kind == "target" and re.search(r"\w", f.value) and not is_placeholder(f.value):
-            return _reply(f, fields[:i], fields[i + 1 :])
-    return None
+    named = [i for i, f in enumerate(fields) if f.kind == "target" and _names_something(f.value)]
+    if not named:
+        return None
+    first = min(named, key=lambda i: (is_nothing(fields[i].value), _is_sentence(fields[i])))
+    reply = _reply(fields[first], fields[:first], fields[first + 1 :])
+    said_hidden = any(is_nothing(fields[i].value) for i in named if i < first)
+    return replace(reply, visible="no") if said_hidden and not reply.visible else reply
+
+
+def _names_something(value: str) -> bool:
+    return re.search(r"\w", value) is not None and not is_placeholder(value)
+
+
+def _is_sentence(f: _Field) -> bool:
+    """Whether a target is named in a sentence ("the target is under the towel") and not behind a label."""
+    return f.label.rstrip().lower().endswith(" is")
 
 
 def undecorated(text: str) -> str:
     """Return text in plain punctuation, without markdown, with each row of a table as labelled lines."""
     text = re.sub(r"<br\s*/?>|```\w*", "\n", text).replace("`", "")
+    text = re.sub(r"</?(?:b|i|em|strong|code|p|li|ul|ol|h\d|span|answer)>", "", text)
     text = unicodedata.normalize("NFKC", text.translate(_PUNCTUATION)).translate(_PUNCTUATION)
     text = re.sub(r"\*\*|__|(?<!\w)[*_](?=\w)|(?<=[\w:.\])])\*", "", text)
     return "\n".join(_without_tables([plain(line) for line in text.split("\n")]))

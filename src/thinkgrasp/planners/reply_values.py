@@ -116,7 +116,7 @@ def read_target(text: str) -> Target:
     while prefix := _PREFIX.match(value):
         is_part |= prefix[1] is not None
         value = _bare(value[prefix.end() :])
-    second = re.search(r"[,;]\s*(?:object\s*)?part\s*[:=]", value, re.IGNORECASE)
+    second = re.search(r"[,;(\[]\s*(?:object\s*)?part\s*[:=]", value, re.IGNORECASE)
     if second:
         value = f"{value[: second.start()]}:{value[second.end() :]}"
     value = _AFTERTHOUGHT.sub("", value)
@@ -236,7 +236,7 @@ _LABELLED = re.compile(
 
 
 def read_box(text: str, image_wh: tuple[int, int]) -> BoxXYXY | None:
-    """Read a box as x0, y0, x1, y1 in pixels (or shares of the image), in any brackets, labelled or not.
+    """Read a box as x0, y0, x1, y1 in pixels (or shares or percents of the image), in any brackets, labelled or not.
 
     Returns:
         The box in order and clipped to the image; None where none is given.
@@ -251,6 +251,8 @@ def read_box(text: str, image_wh: tuple[int, int]) -> BoxXYXY | None:
     if numbers is None or not all(math.isfinite(n) for n in numbers):
         raise PlanParseError(f"a box must be four numbers x0, y0, x1, y1; the reply says {quote(text)}")
     w, h = image_wh
+    if "%" in value:
+        numbers = [n / 100 for n in numbers]
     if all(0 <= n <= 1 for n in numbers) and max(numbers) > 0:
         numbers = [n * side for n, side in zip(numbers, (w, h, w, h), strict=True)]
     (x0, x1), (y0, y1) = sorted(numbers[0::2]), sorted(numbers[1::2])
