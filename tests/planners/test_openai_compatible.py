@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import logging
+import sys
 from base64 import b64decode
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 from fakes.chat_server import ChatServer, Step, dead_url, error, good, serving
 from PIL import Image
 
-from thinkgrasp.errors import ConfigError
+from thinkgrasp.errors import ConfigError, MissingDependency
 from thinkgrasp.memory import Attempt, Memory
 from thinkgrasp.planners.openai_compatible import OpenAIPlanner
 from thinkgrasp.testing import check_planner, sample_scene, strict_scene
@@ -456,7 +457,8 @@ def test_whatever_is_asked_the_plan_holds(instruction):
 
 
 def test_a_local_server_is_asked_without_a_key(monkeypatch):
-    monkeypatch.setenv("OPENAI_API_KEY", KEY)
+    for name in ("OPENAI_API_KEY", "OPENAI_ADMIN_KEY", "OPENAI_ORG_ID", "OPENAI_PROJECT_ID"):
+        monkeypatch.setenv(name, KEY)
     plan, server = plan_of(GOOD, key_env=None)
     assert plan.mark == GREEN
     assert KEY not in json.dumps(server.requests[0].headers)
@@ -536,6 +538,17 @@ def test_settings_that_cannot_be_used(settings, says, monkeypatch):
         planner("http://127.0.0.1:1/v1", **settings)
     assert KEY not in str(caught.value)
     assert KEY not in repr(caught.value.__cause__)
+
+
+def test_the_openai_package_is_needed_for_a_server_alone(monkeypatch, tmp_path):
+    path = recorded(tmp_path / "cassette.jsonl")
+    for name in ("endpoint", "server"):
+        monkeypatch.delitem(sys.modules, f"thinkgrasp.planners.vlm.{name}")
+        monkeypatch.delattr(f"thinkgrasp.planners.vlm.{name}")
+    monkeypatch.setitem(sys.modules, "openai", None)
+    assert planner("http://127.0.0.1:1/v1", replay=path).plan(SCENE, ASK, Memory()).mark == GREEN
+    with pytest.raises(MissingDependency, match=r"pip install 'thinkgrasp\[vlm\]'"):
+        planner("http://127.0.0.1:1/v1")
 
 
 # Record and replay

@@ -76,7 +76,7 @@ class Endpoint:
         self.url = checked_url(base_url)
         self._key = key
         http = openai.DefaultHttpxClient(
-            event_hooks={"response": [partial(_limit, max_reply_bytes)]},
+            event_hooks={"request": [_stamp], "response": [partial(_limit, max_reply_bytes)]},
             follow_redirects=False,
             trust_env=not _is_loopback(self.url),
         )
@@ -87,6 +87,9 @@ class Endpoint:
             http_client=http,
             default_headers={"Accept-Encoding": "identity"},
         )
+        if self.url != OPENAI_URL:
+            # The client takes these from OPENAI_* of the environment; they are no other server's business.
+            self._client.organization = self._client.project = None
         self.close = weakref.finalize(self, http.close)
 
     def post(self, body: Mapping[str, object], timeout_s: float) -> Reply:
@@ -94,7 +97,7 @@ class Endpoint:
 
         Args:
             body: Of a chat completion.
-            timeout_s: For the connection, for the first byte, and for the whole of the reply's body.
+            timeout_s: For connecting, then for any silence, and from the start for the whole reply to be there.
 
         Raises:
             RequestFailed: There is no reply, it is an error, or it is not a chat completion.
@@ -235,10 +238,10 @@ class _UnusableBody(Exception):
 class _LimitedStream(httpx2.SyncByteStream):
     """A body that may neither grow nor take longer than allowed."""
 
-    def __init__(self, stream: httpx2.SyncByteStream, most_bytes: int, timeout_s: float) -> None:
+    def __init__(self, stream: httpx2.SyncByteStream, most_bytes: int, deadline: float) -> None:
         self._stream = stream
         self._most_bytes = most_bytes
-        self._deadline = time.monotonic() + timeout_s
+        self._deadline = deadline
 
     def __iter__(self) -> Iterator[bytes]:
         received = 0
@@ -254,13 +257,17 @@ class _LimitedStream(httpx2.SyncByteStream):
         self._stream.close()
 
 
+def _stamp(request: httpx2.Request) -> None:
+    request.extensions = {**request.extensions, "thinkgrasp_start": time.monotonic()}
+
+
 def _limit(most_bytes: int, response: httpx2.Response) -> None:
     encoding = response.headers.get("content-encoding", "identity")
     if encoding != "identity":
         raise _UnusableBody(f"the reply is compressed ({encoding[:40]!r}), which was not asked for")
-    timeout_s = cast(dict[str, float], response.request.extensions["timeout"])["read"]
-    stream = cast(httpx2.SyncByteStream, response.stream)
-    response.stream = _LimitedStream(stream, most_bytes, timeout_s)
+    extensions = cast(dict[str, Any], response.request.extensions)
+    deadline = extensions["thinkgrasp_start"] + extensions["timeout"]["read"]
+    response.stream = _LimitedStream(cast(httpx2.SyncByteStream, response.stream), most_bytes, deadline)
 
 
 def _is_loopback(url: str) -> bool:
