@@ -75,7 +75,7 @@ _AFTERTHOUGHT = re.compile(
     r"(?:[\s,;.]|\s-)*\b(?:because|since|as (?:it|the)|which|so that|due to)\b.*$|\.\s.*$", re.IGNORECASE | re.DOTALL
 )
 _BESIDE_MARK = re.compile(r"[\s,;]*[(\[]?\s*\bmark\s*(?:no\.?|number)?\s*[:=#]?\s*(\d+)\s*[)\]]?", re.IGNORECASE)
-_ARTICLE = re.compile(r"(?:the|an?)\s+", re.IGNORECASE)
+_ARTICLE = re.compile(r"\b(?:the|an?)\s+", re.IGNORECASE)
 
 
 def plain(text: str) -> str:
