@@ -104,7 +104,7 @@ def test_a_good_reply_is_the_plan():
 def test_it_keeps_the_contract_of_planners():
     with serving(GOOD) as server:
         asked = planner(server)
-        check_planner(asked, deterministic=False)
+        check_planner(asked)
         asked.close()
 
 
