@@ -28,7 +28,7 @@ EXTRAS: dict[str, Extra] = {
     "sim": Extra("closed-loop episodes in the MuJoCo simulator", True),
     "convex": Extra("convex pieces for your own objects whose collision mesh is not convex", True),
     "egl": Extra("rendering simulated frames on a GPU", True),
-    "vlm": Extra("planning with GPT-4o or any server that speaks chat.completions", False),
+    "vlm": Extra("planning with GPT-4o or any server that speaks chat.completions", True),
     "langsam": Extra("masks from text by GroundingDINO and SAM", False),
     "graspnet": Extra("the GraspNet-1Billion and FGC-GraspNet generators", False),
     "server": Extra("the HTTP server and its client", False),

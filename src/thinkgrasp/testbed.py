@@ -148,7 +148,7 @@ def for_the_loop(config: PipelineConfig) -> PipelineConfig:
     if all(c.name != "reach" for c in checks):
         checks.append(StageConfig("reach"))
     planner, generator = config.planner, config.generator
-    if planner.name == "offline":
+    if planner.name in ("offline", "openai"):
         planner = _with_default(planner, "search", "all")
     if generator.name == "antipodal":
         generator = _with_default(generator, "tip_height_m", 0.0035)

@@ -6,6 +6,7 @@ import socket
 from importlib.metadata import EntryPoint
 
 import pytest
+from fakes.chat_server import dead_url
 
 from thinkgrasp import registry, testing
 from thinkgrasp.cameras.saving import save_frame
@@ -25,9 +26,19 @@ def registered(kind: registry.Kind) -> list[str]:
     return list(registry.available(kind))
 
 
-@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind in STAGES for name in registered(kind)])
+ASKS_A_SERVER = ("planner", "openai")
+
+
+@pytest.mark.parametrize(("kind", "name"), [(k, n) for k in STAGES for n in registered(k) if (k, n) != ASKS_A_SERVER])
 def test_stage_keeps_its_contract(kind, name):
     STAGES[kind](registry.load(kind, name))
+
+
+def test_planner_without_its_server_keeps_its_contract():
+    pytest.importorskip("openai", reason="needs thinkgrasp[vlm]")
+    planner = registry.load(*ASKS_A_SERVER, base_url=dead_url(), retries=0)
+    testing.check_planner(planner, deterministic=False)
+    planner.close()
 
 
 def test_file_camera_keeps_its_contract(tmp_path):
