@@ -220,7 +220,11 @@ def test_objects_of_ones_own(cli, tmp_path):
 def test_an_end_in_the_middle_leaves_the_finished_steps(tmp_path, sent, code):
     said: list[str] = []
     with subprocess.Popen(
-        command(*HARD, "--json", "--out", str(tmp_path)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command(*HARD, "--json", "--out", str(tmp_path)),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job ignores it
     ) as process:
         assert process.stdout is not None
         assert process.stderr is not None

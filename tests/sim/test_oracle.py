@@ -31,7 +31,7 @@ def world() -> World:
     world = World(pile.spec.objects)
     for index, T in enumerate(pile.poses):
         world.place(index, T)
-    world.place(3, pose(0.5, -0.25, 0.01))
+    world.place(3, pose(0.22, -0.10, 0.01))
     world.settle()
     return world
 
