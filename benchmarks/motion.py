@@ -20,8 +20,11 @@ from scipy.spatial.transform import Rotation
 
 from thinkgrasp.motion import ur5e
 from thinkgrasp.motion.arm import ArmMotion, GraspMotion
-from thinkgrasp.motion.cell import DROP_RAD, HOME_RAD, WORKSPACE_M
+from thinkgrasp.motion.cell import HOME_RAD, WORKSPACE_M
 from thinkgrasp.motion.trajectory import time_path
+
+DROP_RAD = (-2.39, -0.95, 0.95, -1.57, -1.57, -2.39)
+"""Over the middle of the bin."""
 
 Float = NDArray[np.float64]
 
