@@ -17,7 +17,6 @@ from thinkgrasp.outputs import write_atomic
 from thinkgrasp.recorder import EpisodeRecorder
 from thinkgrasp.types import Decision, Outcome
 from thinkgrasp.viz.live import LiveView
-from thinkgrasp.viz.report import write_report
 from thinkgrasp.viz.video import VideoWriter
 
 if TYPE_CHECKING:
@@ -110,9 +109,7 @@ def run_demo(
             recorders.append(_Film(session, stack.enter_context(_video(out)), scene.spec.instruction, mark))
         episode = session.run(pipeline, step_limit=options.steps or steps, recorders=recorders).episode
     tell(f"{END_WORDS[episode.end]} after {len(episode.steps)} steps")
-    model = recorder.finish(end=episode.end, success=episode.success)
-    write_report(out)
-    return model
+    return recorder.finish(end=episode.end, success=episode.success)
 
 
 def make_scene(options: DemoOptions, tell: Callable[[str], None] = lambda line: None) -> tuple[PiledScene, int]:
