@@ -16,6 +16,7 @@ ORDER = [
     ["contacts"],
     ["memory"],
     ["motion"],
+    ["networks"],
     ["interfaces"],
     ["registry"],
     ["language"],
