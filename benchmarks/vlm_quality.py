@@ -1,9 +1,11 @@
 """How success in clutter depends on how good the vision-language model is, measured with the emulator of one.
 
     python benchmarks/vlm_quality.py --episodes 30 --out vlm_quality.jsonl --plot-to docs/pictures/vlm_quality.svg
+    python benchmarks/vlm_quality.py --presets no-vlm no-grid grid-2 grid-3 grid-4 vlm-crop vlm-only --accuracy 1 \
+        --episodes 30 --out vlm_ablations.jsonl
 
 No model is asked: a local server answers from the simulator's truth, and is right as often as --accuracy says. Episode
-n is task n % 10 of the clutter suite with seed n // 10, the same piles for every style and accuracy. Every finished
+n is task n % 10 of the clutter suite with seed n // 10, the same piles for every preset and accuracy. Every finished
 episode is one line of --out at once; the same command on the same file goes on where it was interrupted. Tokens are
 the emulator's, which are made up after one model's published rules.
 """
@@ -17,7 +19,7 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import cast
 
 import numpy as np
 import tyro
@@ -27,12 +29,11 @@ from trials import rate, run_all, wilson
 
 from thinkgrasp.benchmark.chat import MODEL
 from thinkgrasp.benchmark.emulator import Quality, VlmEmulator
-from thinkgrasp.config import PipelineConfig, StageConfig, load_config, override
+from thinkgrasp.config import PipelineConfig, load_config, override
 from thinkgrasp.errors import ThinkGraspError
 from thinkgrasp.sim.tasks import TASKS, find_task
 from thinkgrasp.testbed import CameraOptions, Session
 
-Style = Literal["marks", "paper"]
 CLUTTER = tuple(task.name for task in TASKS if task.suite == "clutter")
 
 
@@ -40,7 +41,7 @@ CLUTTER = tuple(task.name for task in TASKS if task.suite == "clutter")
 class Job:
     """One episode to run."""
 
-    style: Style
+    preset: str
     accuracy: float
     episode: int
 
@@ -84,10 +85,17 @@ class QualityRecord:
 _RECORD = TypeAdapter(QualityRecord)
 
 
-def config(style: Style, base_url: str) -> PipelineConfig:
-    """Return the offline preset with the planner that asks a model."""
-    settings = {"model": MODEL, "base_url": base_url, "style": style, "search": "all"}
-    return override(load_config("offline"), "planner", StageConfig("openai", settings))
+def config(preset: str, base_url: str) -> PipelineConfig:
+    """Return a preset that asks this server if it asks any."""
+    chosen = load_config(preset)
+    if chosen.planner.name != "openai":
+        return chosen
+    return override(override(chosen, "planner.model", MODEL), "planner.base_url", base_url)
+
+
+def grid(chosen: PipelineConfig) -> int:
+    """Return the cells per side that a configuration's planner speaks of."""
+    return cast(int, chosen.planner.settings.get("grid", 3))
 
 
 def run_job(job: Job) -> QualityRecord:
@@ -98,9 +106,10 @@ def run_job(job: Job) -> QualityRecord:
     except ThinkGraspError as error:
         return QualityRecord(job, "no_scene", error=str(error))
     session = Session(scene, CameraOptions(), seed=job.seed)
-    with VlmEmulator(session, Quality(accuracy=job.accuracy), seed=job.episode) as emulator:
+    quality, cells = Quality(accuracy=job.accuracy), grid(load_config(job.preset))
+    with VlmEmulator(session, quality, grid=cells, seed=job.episode) as emulator:
         try:
-            pipeline = session.pipeline(config(job.style, emulator.base_url))
+            pipeline = session.pipeline(config(job.preset, emulator.base_url))
             episode = session.run(pipeline, step_limit=task.step_limit).episode
         except Exception as error:  # one crash must not end a night of episodes; it is counted and shown
             traceback.print_exc()
@@ -133,7 +142,7 @@ def run_jobs(jobs: Sequence[Job], workers: int, out: Path | None) -> list[Qualit
                 os.fsync(file.fileno())
         job = record.job
         print(
-            f"{n}/{len(missing)} {job.style} {job.accuracy} {job.task} seed {job.seed}: {record.end} after "
+            f"{n}/{len(missing)} {job.preset} {job.accuracy} {job.task} seed {job.seed}: {record.end} after "
             f"{record.steps}, {record.requests} requests, {record.seconds:.0f} s {record.error}",
             file=sys.stderr,
             flush=True,
@@ -153,16 +162,16 @@ def _read(out: Path | None) -> list[QualityRecord]:
 
 
 def report(records: Sequence[QualityRecord]) -> str:
-    """Return a table in Markdown, one row per style and accuracy."""
+    """Return a table in Markdown, one row per preset and accuracy."""
     lines = [
-        "| style | accuracy | success | grasps | requests | tokens in + out | right replies | degraded steps | ends |",
+        "| preset | accuracy | success | grasps | requests | tokens in + out | right replies | degraded steps | ends |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    for (style, accuracy), group in _groups(records).items():
+    for (preset, accuracy), group in _groups(records).items():
         right, wrong = (sum(getattr(r, f"replies_{kind}") for r in group) for kind in ("right", "wrong"))
         ends = {end: sum(r.end == end for r in group) for end in sorted({r.end for r in group})}
         lines.append(
-            f"| {style} | {accuracy:g} | {rate(sum(r.success for r in group), len(group))} "
+            f"| {preset} | {accuracy:g} | {rate(sum(r.success for r in group), len(group))} "
             f"| {_mean(group, 'steps'):.1f} | {_mean(group, 'requests'):.1f} "
             f"| {_mean(group, 'prompt_tokens'):.0f} + {_mean(group, 'completion_tokens'):.0f} "
             f"| {right}/{right + wrong} | {sum(r.degraded for r in group)} "
@@ -172,26 +181,26 @@ def report(records: Sequence[QualityRecord]) -> str:
 
 
 def curves(records: Sequence[QualityRecord]) -> list[Curve]:
-    """Return success with its interval over accuracy, one curve per style."""
+    """Return success with its interval over accuracy, one curve per preset."""
     groups = _groups(records)
     return [
         Curve(
-            style,
+            preset,
             tuple(
                 (accuracy, good / len(group), *wilson(good, len(group)))
                 for (of, accuracy), group in sorted(groups.items())
-                if of == style
+                if of == preset
                 for good in [sum(r.success for r in group)]
             ),
         )
-        for style in dict.fromkeys(style for style, _ in groups)
+        for preset in dict.fromkeys(preset for preset, _ in groups)
     ]
 
 
 def _groups(records: Sequence[QualityRecord]) -> dict[tuple[str, float], list[QualityRecord]]:
     groups: dict[tuple[str, float], list[QualityRecord]] = {}
     for record in records:
-        groups.setdefault((record.job.style, record.job.accuracy), []).append(record)
+        groups.setdefault((record.job.preset, record.job.accuracy), []).append(record)
     return groups
 
 
@@ -200,7 +209,7 @@ def _mean(records: Sequence[QualityRecord], what: str) -> float:
 
 
 def main(
-    styles: tuple[Style, ...] = get_args(Style),
+    presets: tuple[str, ...] = ("vlm", "vlm-paper"),
     accuracy: tuple[float, ...] = (1.0, 0.8, 0.6, 0.4, 0.0),
     episodes: int = 30,
     workers: int = 2,
@@ -210,14 +219,16 @@ def main(
     """Run the episodes, print the table, draw the plot.
 
     Args:
-        styles: Of the prompt.
+        presets: What runs; see `thinkgrasp presets`.
         accuracy: Probabilities that the emulated model names the right thing.
-        episodes: Per style and accuracy.
+        episodes: Per preset and accuracy.
         workers: Processes.
         out: JSON lines, one per finished episode.
         plot_to: An SVG file.
     """
-    jobs = [Job(style, p, n) for style in styles for p in accuracy for n in range(episodes)]
+    for preset in presets:
+        load_config(preset)
+    jobs = [Job(preset, p, n) for preset in presets for p in accuracy for n in range(episodes)]
     records = run_jobs(jobs, workers, out)
     print(report(records))
     if plot_to is not None:

@@ -27,7 +27,7 @@ def quality(bench):
 
 
 def records(quality, n: int = 4):
-    jobs = [quality.Job(style, p, i) for style in ("marks", "paper") for p in (1.0, 0.0) for i in range(n)]
+    jobs = [quality.Job(preset, p, i) for preset in ("vlm", "vlm-paper") for p in (1.0, 0.0) for i in range(n)]
     return [
         quality.QualityRecord(job, "goal_delivered" if job.accuracy or job.episode == 0 else "step_limit", 5, 4, 2, 7,
                               700, 70, 1, 3.5)
@@ -36,21 +36,21 @@ def records(quality, n: int = 4):
 
 
 def test_episodes_go_through_the_tasks_and_then_the_seeds(quality):
-    jobs = [quality.Job("marks", 1.0, n) for n in (0, 9, 10, 29)]
+    jobs = [quality.Job("vlm", 1.0, n) for n in (0, 9, 10, 29)]
     assert [(job.task.split("-")[1], job.seed) for job in jobs] == [("00", 0), ("09", 0), ("00", 1), ("09", 2)]
 
 
-def test_a_row_per_style_and_accuracy(quality):
+def test_a_row_per_preset_and_accuracy(quality):
     lines = quality.report(records(quality)).splitlines()
     assert len(lines) == 2 + 4
-    assert lines[2].startswith("| marks | 1 | 4/4 = 100.0 %")
-    assert lines[3].startswith("| marks | 0 | 1/4 = 25.0 %")
+    assert lines[2].startswith("| vlm | 1 | 4/4 = 100.0 %")
+    assert lines[3].startswith("| vlm | 0 | 1/4 = 25.0 %")
     assert "| 5.0 | 7.0 | 700 + 70 | 16/24 | 4 | goal_delivered 1, step_limit 3 |" in lines[3]
 
 
 def test_the_plot_is_svg_with_a_spot_and_an_interval_per_point(quality, bench):
     found = quality.curves(records(quality))
-    assert [curve.name for curve in found] == ["marks", "paper"]
+    assert [curve.name for curve in found] == ["vlm", "vlm-paper"]
     assert [point[:2] for point in found[0].points] == [(0.0, 0.25), (1.0, 1.0)]
     assert all(low <= y <= high for curve in found for _, y, low, high in curve.points)
     svg = ElementTree.fromstring(bench("quality_plot").plot(found, "a < b", "x"))
@@ -66,7 +66,7 @@ def test_an_interrupted_run_goes_on(quality, tmp_path, monkeypatch):
     monkeypatch.setattr(quality, "run_all", lambda work, jobs, workers: (r for r in done if r.job in jobs))
     quality.run_jobs([r.job for r in done[:3]], 1, out)
     with out.open("ab") as file:
-        file.write(b'{"job": {"style": "ma')
+        file.write(b'{"job": {"preset": "vl')
     seen = []
     monkeypatch.setattr(
         quality, "run_all", lambda work, jobs, workers: (seen.append(r) or r for r in done if r.job in jobs)

@@ -32,11 +32,12 @@ from thinkgrasp.gripper import GRIPPERS
 from thinkgrasp.recorder import EpisodeRecorder
 from thinkgrasp.schema import decision_to_schema, mask_from_png
 from thinkgrasp.testing import check_recorder
-from thinkgrasp.types import Decision, Outcome
+from thinkgrasp.types import Decision, Outcome, Usage
 from thinkgrasp.viz.report import write_report
 
 GRIPPER = GRIPPERS["robotiq_2f85"]
 HEADER = EpisodeHeader(instruction="the blue block", goal="blue block", preset="offline", seed=3)
+USAGE = Usage("gpt-4o", 2400, 160, None, 3, 2.5)
 STEP_FILES = {
     "color.png",
     "depth.png",
@@ -120,22 +121,32 @@ def test_what_was_recorded_is_read_back(record, steps: list[Step]) -> None:
 
 def test_finish_writes_the_published_form(record, steps: list[Step]) -> None:
     recorder = record(steps)
-    episode = recorder.finish(end="goal_delivered", success=True)
-    assert episode == episode_to_schema(steps, header=HEADER, end="goal_delivered", success=True, out=recorder.folder)
+    episode = recorder.finish(end="goal_delivered", success=True, usage=USAGE)
+    assert episode == episode_to_schema(
+        steps, header=HEADER, end="goal_delivered", success=True, out=recorder.folder, usage=USAGE
+    )
     text = (recorder.folder / "episode.json").read_text()
     assert EpisodeModel.model_validate_json(text) == episode
     published = json.loads(text)
     assert list(published) == [
         *("schema", "success", "steps", "end", "instruction", "goal", "preset", "seed", "out"),
-        *("decisions", "outcomes"),
+        *("decisions", "outcomes", "usage"),
     ]
+    assert published["usage"] == {
+        "model": "gpt-4o",
+        "prompt_tokens": 2400,
+        "completion_tokens": 160,
+        "usd": None,
+        "requests": 3,
+        "latency_s": 2.5,
+    }
     assert published["schema"] == "thinkgrasp/episode-1"
     assert published["outcomes"][2] is None
     assert read_episode(recorder.folder).ended == episode
 
 
 def test_masks_can_be_left_out_of_the_published_form(steps: list[Step]) -> None:
-    episode = episode_to_schema(steps, header=HEADER, end="x", success=False, out="", with_masks=False)
+    episode = episode_to_schema(steps, header=HEADER, end="x", success=False, out="", usage=USAGE, with_masks=False)
     assert all(d.target is None or d.target.mask_png is None for d in episode.decisions)
 
 
@@ -233,7 +244,7 @@ def test_a_killed_process_leaves_all_finished_steps(tmp_path: Path, delay_s: flo
 
 def test_an_earlier_recording_is_replaced_and_nothing_else(record, steps: list[Step], tmp_path: Path) -> None:
     first = record(steps)
-    first.finish(end="goal_delivered", success=True)
+    first.finish(end="goal_delivered", success=True, usage=USAGE)
     (first.folder / "notes.txt").write_text("mine")
     (first.folder / "episode.webp").write_bytes(b"old")
     record(steps[:1])

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 OVERLAY_SUFFIXES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
 DONE, NOTHING, BAD_INPUT, BUG, INTERRUPTED = 0, 1, 2, 3, 130
+ASK_NOTHING = ("offline", "literal")
+"""Planners that ask no model."""
 ORACLE_STAGES = ("scene", "planner", "segmenter")
 """Replaced by the simulator's truth, so that settings of theirs would do nothing."""
 
@@ -53,6 +55,10 @@ class StageOptions:
     """Segmenter plug-in."""
     generator: Annotated[str | None, arg(metavar="NAME")] = None
     """Grasp generator plug-in."""
+    record: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Keep what a planner asks of its model, and the replies, in this cassette."""
+    replay: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Answer such a planner from this cassette, without a network or a key."""
     set: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")] = ()
     """One setting, for example planner.grid=4 or checks.collision.voxel_m=0.002."""
     debug: bool = False
@@ -340,6 +346,15 @@ def _configure(options: StageOptions) -> PipelineConfig:
         value = getattr(options, key)
         if value is not None:
             config = override(config, key, value)
+    for name in ("record", "replay"):
+        value = getattr(options, name)
+        if value is not None:
+            if config.planner.name in ASK_NOTHING:
+                raise ConfigError(
+                    f"--{name} is of use only where a model is asked; the planner {config.planner.name!r} asks none: "
+                    "add --preset vlm or --planner openai"
+                )
+            config = override(config, f"planner.{name}", str(value))
     for assignment in options.set:
         config = override(config, *parse_assignment(assignment))
     return config

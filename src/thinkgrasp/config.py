@@ -65,22 +65,44 @@ class PipelineConfig:
             raise ConfigError(f"each check may occur once, got {', '.join(names)}")
 
 
-PRESETS: dict[str, PipelineConfig] = {
-    "offline": PipelineConfig(
-        scene=StageConfig("geometric"),
-        planner=StageConfig("offline"),
-        segmenter=StageConfig("geometric"),
-        generator=StageConfig("antipodal"),
-        checks=tuple(
-            StageConfig(name)
-            for name in ("target", "width", "workspace", "force_closure", "table_clearance", "collision")
-        ),
+_OFFLINE = PipelineConfig(
+    scene=StageConfig("geometric"),
+    planner=StageConfig("offline"),
+    segmenter=StageConfig("geometric"),
+    generator=StageConfig("antipodal"),
+    checks=tuple(
+        StageConfig(name) for name in ("target", "width", "workspace", "force_closure", "table_clearance", "collision")
     ),
+)
+
+
+def _asking(style: str, **settings: object) -> StageConfig:
+    return StageConfig("openai", {"style": style, **settings})
+
+
+PRESETS: dict[str, PipelineConfig] = {
+    "offline": _OFFLINE,
+    "vlm": replace(_OFFLINE, planner=_asking("marks")),
+    "vlm-paper": replace(_OFFLINE, planner=_asking("paper")),
+    "no-vlm": replace(_OFFLINE, planner=StageConfig("literal")),
+    "no-grid": replace(_OFFLINE, planner=_asking("paper", grid=1)),
+    "vlm-crop": replace(_OFFLINE, planner=_asking("paper"), segmenter=StageConfig("plan_box")),
+    "vlm-only": replace(_OFFLINE, planner=_asking("point", grid=1), segmenter=StageConfig("plan_point")),
+    **{f"grid-{k}": replace(_OFFLINE, planner=_asking("paper", grid=k)) for k in (2, 3, 4)},
 }
 """What `--preset` takes. One entry per preset."""
 
 PRESET_NOTES: dict[str, str] = {
     "offline": "no network, GPU, key or download: perception and grasps from geometry, language from a rule book",
+    "vlm": "a vision-language model chooses among numbered marks (extra vlm, and a key or a server: docs/vlm.md)",
+    "vlm-paper": "a vision-language model sees the plain picture, as in the paper; what it names is found by geometry",
+    "no-vlm": "ablation: no planner, the instruction itself is looked for",
+    "no-grid": "ablation of vlm-paper: the middle of the target's box instead of a cell (a grid of 1 x 1)",
+    "vlm-crop": "ablation of vlm-paper: the model's own box crops the cloud, nothing is segmented",
+    "vlm-only": "ablation: the model names the pixel to grasp at, nothing is segmented",
+    "grid-2": "ablation of vlm-paper: a grid of 2 x 2",
+    "grid-3": "the same as vlm-paper, whose grid is 3 x 3",
+    "grid-4": "ablation of vlm-paper: a grid of 4 x 4",
 }
 
 

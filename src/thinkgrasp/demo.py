@@ -109,7 +109,7 @@ def run_demo(
             recorders.append(_Film(session, stack.enter_context(_video(out)), scene.spec.instruction, mark))
         episode = session.run(pipeline, step_limit=options.steps or steps, recorders=recorders).episode
     tell(f"{END_WORDS[episode.end]} after {len(episode.steps)} steps")
-    return recorder.finish(end=episode.end, success=episode.success)
+    return recorder.finish(end=episode.end, success=episode.success, usage=episode.usage)
 
 
 def make_scene(options: DemoOptions, tell: Callable[[str], None] = lambda line: None) -> tuple[PiledScene, int]:

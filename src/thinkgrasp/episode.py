@@ -24,8 +24,17 @@ from typing import Annotated, Literal, Protocol, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from thinkgrasp.errors import InputError
-from thinkgrasp.schema import Box, DecisionModel, Finite, TimingsModel, Vector, decision_to_schema, mask_to_png
-from thinkgrasp.types import Decision, Outcome, Proposal, Relation, Scene
+from thinkgrasp.schema import (
+    Box,
+    DecisionModel,
+    Finite,
+    TimingsModel,
+    UsageModel,
+    Vector,
+    decision_to_schema,
+    mask_to_png,
+)
+from thinkgrasp.types import Decision, Outcome, Proposal, Relation, Scene, Usage
 
 EPISODE_SCHEMA = "thinkgrasp/episode-1"
 SCENE_SCHEMA = "thinkgrasp/scene-1"
@@ -123,6 +132,12 @@ class SceneModel(_Model):
     obstructions: tuple[ObstructionModel, ...]
 
 
+class EpisodeUsageModel(UsageModel):
+    """What the planner's model spent in an episode, for decisions that were not acted upon too."""
+
+    latency_s: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
 class EpisodeModel(_Model):
     """A whole episode: what `demo --json` prints and episode.json holds."""
 
@@ -139,6 +154,7 @@ class EpisodeModel(_Model):
     decisions: tuple[DecisionModel, ...]
     outcomes: tuple[OutcomeModel | None, ...]
     """One for each decision; null where nothing was executed."""
+    usage: EpisodeUsageModel
 
 
 class StepLike(Protocol):
@@ -250,6 +266,7 @@ def episode_to_schema(
     end: str,
     success: bool,
     out: str | Path,
+    usage: Usage,
     with_masks: bool = True,
 ) -> EpisodeModel:
     """Turn the steps of an episode into its published form.
@@ -260,10 +277,11 @@ def episode_to_schema(
         end: Named reason why the episode ended.
         success: Whether the goal was reached.
         out: Folder of the records; empty when nothing was recorded.
+        usage: What all decisions cost.
         with_masks: Whether to include the targets' masks as PNG.
     """
     pairs = [(decision_to_schema(s.decision, with_mask=with_masks), outcome_to_schema(s.outcome)) for s in steps]
-    return assemble_episode(pairs, header=header, end=end, success=success, out=out)
+    return assemble_episode(pairs, header=header, end=end, success=success, out=out, usage=usage)
 
 
 def assemble_episode(
@@ -273,6 +291,7 @@ def assemble_episode(
     end: str,
     success: bool,
     out: str | Path,
+    usage: Usage,
 ) -> EpisodeModel:
     """Put published decisions and outcomes together, as `episode_to_schema` does."""
     pairs = list(pairs)
@@ -287,6 +306,14 @@ def assemble_episode(
         out=str(out),
         decisions=tuple(decision for decision, _ in pairs),
         outcomes=tuple(outcome for _, outcome in pairs),
+        usage=EpisodeUsageModel(
+            model=usage.model,
+            prompt_tokens=usage.prompt_tokens,
+            completion_tokens=usage.completion_tokens,
+            usd=usage.usd,
+            requests=usage.requests,
+            latency_s=round(usage.latency_s, 3),
+        ),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -13,14 +13,15 @@ from thinkgrasp.errors import ConfigError
 from thinkgrasp.interfaces import Camera, Recorder, Robot
 from thinkgrasp.memory import Attempt, Memory
 from thinkgrasp.pipeline import Pipeline, check_instruction
-from thinkgrasp.types import Decision, Frame, Outcome
+from thinkgrasp.types import Decision, Frame, Outcome, Usage
 
-End = Literal["goal_delivered", "step_limit", "nothing_left", "no_grasp", "stopped"]
+End = Literal["goal_delivered", "step_limit", "nothing_left", "no_grasp", "budget_spent", "stopped"]
 END_WORDS: dict[End, str] = {
     "goal_delivered": "the goal is in the bin",
     "step_limit": "all attempts are used up",
     "nothing_left": "nothing in view answers to the instruction or can hide it",
     "no_grasp": "no grasp on anything that could be taken survived the checks",
+    "budget_spent": "the planner's budget for this episode is spent",
     "stopped": "whoever watches stopped the episode",
 }
 
@@ -50,6 +51,8 @@ class Episode:
     instruction: str
     steps: tuple[Step, ...]
     end: End
+    usage: Usage = field(default_factory=Usage)
+    """What all decisions cost, those that were not acted upon included."""
 
     @property
     def success(self) -> bool:
@@ -100,16 +103,23 @@ def run_episode(
     recorders = tuple(recorders)
     memory = Memory()
     steps: list[Step] = []
+    usage = Usage()
     frame = cameras[0].read()
 
+    def decide(frame: Frame, memory: Memory) -> Decision:
+        nonlocal usage
+        decision = pipeline.decide(frame, instruction, memory)
+        usage += decision.plan.usage
+        return decision
+
     def finish(end: End) -> Episode:
-        return Episode(instruction, tuple(steps), end)
+        return Episode(instruction, tuple(steps), end, usage)
 
     while len(steps) < step_limit:
         if stop():
             return finish("stopped")
         start = time.perf_counter()
-        decision, memory = _decide(frame, cameras, pipeline, instruction, memory)
+        decision, memory = _decide(frame, cameras, decide, memory)
         outcome: Outcome | None = None
         if decision.grasp is not None:
             outcome = robot.execute(decision.grasp, decision.scene.frame)
@@ -120,6 +130,8 @@ def run_episode(
         steps.append(Step(decision, outcome, time.perf_counter() - start))
         for recorder in recorders:
             recorder.record(decision, outcome)
+        if decision.plan.out_of_budget:
+            return finish("budget_spent")
         if outcome is None:
             return finish("nothing_left" if decision.status == "no_target" else "no_grasp")
         if outcome.success and (referee(decision, outcome) if referee else decision.plan.role == "goal"):
@@ -147,16 +159,16 @@ def _same_view(a: Frame, b: Frame) -> bool:
 
 
 def _decide(
-    frame: Frame, cameras: Sequence[Camera], pipeline: Pipeline, instruction: str, memory: Memory
+    frame: Frame, cameras: Sequence[Camera], decide: Callable[[Frame, Memory], Decision], memory: Memory
 ) -> tuple[Decision, Memory]:
     """Decide on this frame; where no grasp survives, from the other cameras, then on something else."""
-    decision = first = pipeline.decide(frame, instruction, memory)
+    decision = first = decide(frame, memory)
     for replans in range(MAX_REPLANS + 1):
-        if decision.grasp is not None:
+        if decision.grasp is not None or decision.plan.out_of_budget:
             return decision, memory
         if decision is first or decision.status == "no_grasp":
             for camera in cameras[1:]:
-                other = pipeline.decide(camera.read(), instruction, memory)
+                other = decide(camera.read(), memory)
                 if other.grasp is not None:
                     return other, memory
                 if other.status == "no_grasp":
@@ -164,7 +176,7 @@ def _decide(
         if decision.status == "no_target" or replans == MAX_REPLANS:
             break
         memory = _remember(memory, decision, Outcome(False, "no_grasp"))
-        decision = pipeline.decide(frame, instruction, memory)
+        decision = decide(frame, memory)
     return first, memory
 
 

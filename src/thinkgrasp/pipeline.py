@@ -13,7 +13,7 @@ from thinkgrasp.geometry import deproject
 from thinkgrasp.gripper import Gripper
 from thinkgrasp.interfaces import Check, GraspGenerator, Planner, ScenePerception, Segmenter
 from thinkgrasp.memory import Memory
-from thinkgrasp.selection import preferred_point, rank_grasps
+from thinkgrasp.selection import nearest_point, preferred_point, rank_grasps
 from thinkgrasp.types import Decision, Degradation, Frame, FunnelStep, Grasps, Scene, Segment, Segmentation
 
 MAX_INSTRUCTION_CHARS = 2000
@@ -107,7 +107,10 @@ class Pipeline:
             reason = f"no grasp on the best match ({segmentation.segments[0].label}) survived the checks"
             degraded = (*degraded, Degradation("select", reason, f"the next match ({target.label})"))
 
-        point = preferred_point(scene.points, target.mask, target.box_xyxy, plan.grid, plan.cell)
+        if plan.point_px is None:
+            point = preferred_point(scene.points, target.mask, target.box_xyxy, plan.grid, plan.cell)
+        else:
+            point = nearest_point(scene.points, target.mask, plan.point_px)
         decision = replace(
             decision,
             status="no_grasp",

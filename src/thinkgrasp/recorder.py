@@ -32,7 +32,7 @@ from thinkgrasp.errors import InputError
 from thinkgrasp.gripper import Gripper
 from thinkgrasp.outputs import make_folder, write_atomic
 from thinkgrasp.schema import decision_to_schema
-from thinkgrasp.types import Decision, Outcome
+from thinkgrasp.types import Decision, Outcome, Usage
 from thinkgrasp.viz.overlay import draw_overlay
 from thinkgrasp.viz.panel import render_panel
 from thinkgrasp.viz.report import write_report
@@ -126,12 +126,13 @@ class EpisodeRecorder:
         self._since = time.monotonic()
         write_report(self._folder)
 
-    def finish(self, *, end: str, success: bool) -> EpisodeModel:
+    def finish(self, *, end: str, success: bool, usage: Usage) -> EpisodeModel:
         """Write episode.json and the final report, and return what episode.json holds.
 
         Args:
             end: Named reason why the episode ended.
             success: Whether the goal was reached.
+            usage: What all decisions cost.
 
         Raises:
             InputError: The disk cannot be written.
@@ -143,6 +144,7 @@ class EpisodeRecorder:
             end=end,
             success=success,
             out=self._folder,
+            usage=usage,
         )
         write_atomic(self._folder / EPISODE_FILE, episode.to_json(indent=2).encode())
         write_report(self._folder)

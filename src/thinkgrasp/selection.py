@@ -18,6 +18,12 @@ SAME_M, SAME_DEG = 0.015, 30.0
 """Grasps closer than this in place and orientation are one."""
 
 
+def middle_cell(grid: int) -> int:
+    """Return the cell in the middle of a grid; of the four around it where the grid is even, the first."""
+    row = (grid - 1) // 2
+    return row * grid + row + 1
+
+
 def cell_box(box_xyxy: BoxXYXY, grid: int, cell: int) -> tuple[float, float, float, float]:
     """Return the sub-box of a cell, numbered row by row from 1 at the top-left to grid*grid.
 
@@ -39,10 +45,7 @@ def cell_center(box_xyxy: BoxXYXY, grid: int, cell: int) -> tuple[float, float]:
 
 
 def preferred_point(points: Array, mask: Mask, box_xyxy: BoxXYXY, grid: int, cell: int) -> NDArray[np.float64] | None:
-    """Lift the centre of the chosen cell to 3-D.
-
-    The cell's centre need not lie on the object (a bowl's rim, a mug's handle), so the masked pixel with depth that is
-    nearest to it in the image is taken.
+    """Lift the centre of the chosen cell to 3-D; see `nearest_point`.
 
     Args:
         points: Organised cloud (H, W, 3) [m], camera frame; NaN = no return.
@@ -54,11 +57,22 @@ def preferred_point(points: Array, mask: Mask, box_xyxy: BoxXYXY, grid: int, cel
     Returns:
         (3,) [m] in the camera frame; None when no masked pixel has depth.
     """
+    return nearest_point(points, mask, cell_center(box_xyxy, grid, cell))
+
+
+def nearest_point(points: Array, mask: Mask, at_px: tuple[float, float]) -> NDArray[np.float64] | None:
+    """Lift a pixel (u, v) to 3-D.
+
+    It need not lie on the object (a bowl's rim, a mug's handle), so the masked pixel with depth that is nearest to it
+    in the image is taken.
+
+    Returns:
+        (3,) [m] in the camera frame; None when no masked pixel has depth.
+    """
     v, u = np.nonzero(mask & np.isfinite(points[..., 2]))
     if len(u) == 0:
         return None
-    cu, cv = cell_center(box_xyxy, grid, cell)
-    nearest = int(np.argmin((u - cu) ** 2 + (v - cv) ** 2))
+    nearest = int(np.argmin((u - at_px[0]) ** 2 + (v - at_px[1]) ** 2))
     return points[v[nearest], u[nearest]].astype(np.float64)
 
 

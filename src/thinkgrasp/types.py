@@ -227,7 +227,22 @@ class Usage:
     prompt_tokens: int = 0
     completion_tokens: int = 0
     usd: float | None = None
+    """None = not known; a planner that asked no model spent nothing, whatever stands here."""
     requests: int = 0
+    latency_s: float = 0.0
+    """Time from the first request to the last reply, waits between them included."""
+
+    def __add__(self, other: Usage) -> Usage:
+        asked = [usage for usage in (self, other) if usage.requests]
+        known = [usage.usd for usage in asked if usage.usd is not None]
+        return Usage(
+            next((usage.model for usage in reversed(asked)), None),
+            self.prompt_tokens + other.prompt_tokens,
+            self.completion_tokens + other.completion_tokens,
+            sum(known) if known and len(known) == len(asked) else None,
+            self.requests + other.requests,
+            self.latency_s + other.latency_s,
+        )
 
 
 @dataclass(frozen=True)
@@ -252,7 +267,11 @@ class Plan:
     cell: int = 5
     crop_xyxy: BoxXYXY | None = None
     objects: tuple[PlannedObject, ...] = ()
+    point_px: tuple[int, int] | None = None
+    """Pixel (u, v) that the fingers are to close on; None = the middle of the cell."""
     found: bool = True
+    out_of_budget: bool = False
+    """The planner may spend no more, so that the episode ends; the plan is not `found` then."""
     degraded: tuple[Degradation, ...] = ()
     usage: Usage = field(default_factory=Usage)
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from fakes.chat_server import ChatServer, Step, dead_url, error, good, serving
 from PIL import Image
+from scipy import ndimage
 
 from thinkgrasp.errors import ConfigError, MissingDependency
 from thinkgrasp.memory import Attempt, Memory
@@ -356,20 +357,17 @@ def test_prices_come_from_a_file(tmp_path):
     assert plan.usage.usd == pytest.approx(0.004)
 
 
-def test_a_spent_budget_ends_the_questions():
+@pytest.mark.parametrize("on_budget", ["stop", "offline"])
+def test_a_spent_budget_ends_the_questions(on_budget):
     with serving(GOOD) as server:
-        asked = planner(server, budget_usd=0.006)
+        asked = planner(server, budget_usd=0.006, on_budget=on_budget)
         plans = [asked.plan(SCENE, ASK, Memory()) for _ in range(3)]
         asked.close()
-        strict = planner(server, budget_usd=0, fallback=False)
-        stopped = strict.plan(SCENE, ASK, Memory())
-        strict.close()
     assert [p.usage.requests for p in plans] == [1, 1, 0]
     assert asked.spent.usd == pytest.approx(0.007)
-    assert is_fallback(plans[2])
     assert "the budget of 0.006 USD allows no more requests: 0.0070 USD are spent" in reasons(plans[2])
-    assert not stopped.found
-    assert "the budget of 0 USD" in stopped.rationale
+    assert [p.out_of_budget for p in plans] == [False, False, on_budget == "stop"]
+    assert plans[2].found == is_fallback(plans[2]) == (on_budget == "offline")
 
 
 def test_a_budget_that_cannot_be_kept_ends_the_questions_too():
@@ -386,6 +384,68 @@ def test_without_fallback_the_outcome_says_why():
     assert not plan.found
     assert "cannot be reached" in plan.rationale
     assert [d.fallback for d in plan.degraded] == ["no plan, as the fallback is off"]
+
+
+NOTHING = good(REPLY | {"visible": False, "target": "none", "mark": None, "cell": 5, "objects": []})
+
+
+def test_a_model_that_sees_nothing_is_asked_whether_it_is_sure():
+    plan, server = plan_of(NOTHING, GOOD)
+    assert plan.found
+    assert plan.mark == GREEN
+    assert "it takes nothing, but there is something to take, for example mark 5" in reasons(plan)
+    assert "it takes nothing" in json.dumps(server.requests[1].body)
+
+
+@pytest.mark.parametrize("search", ["piles", "all"])
+def test_a_model_that_insists_that_nothing_is_left_is_overruled_by_a_loop_that_clears(search):
+    plan, server = plan_of(NOTHING, NOTHING, search=search)
+    assert len(server.requests) == 2
+    assert plan.found == is_fallback(plan) == (search == "all")
+    assert ("the model says again that nothing is left to take" in reasons(plan)) == (search == "all")
+
+
+def test_nothing_is_nothing_where_the_offline_planner_agrees():
+    with serving(NOTHING) as server:
+        asked = planner(server)
+        plan = asked.plan(SCENE, "the knife", Memory())
+        asked.close()
+    assert not plan.found
+    assert len(server.requests) == 1
+
+
+POINT = "Goal visible: yes\nSelected object: green thing\nGrasp pixel: ({}, {})"
+
+
+def sent_pixel(mark: int) -> tuple[int, int]:
+    """A pixel well inside a thing, in the picture that is sent, which is 224 pixels wide."""
+    v, u = np.nonzero(ndimage.binary_erosion(SCENE.proposal(mark).mask, iterations=5))
+    scale = 224 / SCENE.frame.camera.width
+    return round(float(u[0]) * scale), round(float(v[0]) * scale)
+
+
+def test_the_point_style_asks_for_a_pixel():
+    u, v = sent_pixel(GREEN)
+    plan, server = plan_of(good(POINT.format(u, v)), style="point", grid=1)
+    assert plan.mark == GREEN
+    assert plan.point_px is not None
+    assert SCENE.proposal(GREEN).mask[plan.point_px[1], plan.point_px[0]]
+    assert "Grasp pixel" in json.dumps(server.requests[0].body)
+
+
+@pytest.mark.parametrize(
+    ("reply", "problem"),
+    [
+        ("Selected object: green thing", "it names no grasp pixel for 'green thing'"),
+        (POINT.format(0, 0), "nothing that can be taken is seen at the grasp pixel"),
+        (POINT.format(9999, 3), "lies outside the image"),
+    ],
+)
+def test_a_pixel_that_is_of_no_use_is_sent_back(reply, problem):
+    u, v = sent_pixel(GREEN)
+    plan, _ = plan_of(good(reply), good(POINT.format(u, v)), style="point")
+    assert plan.mark == GREEN
+    assert problem in reasons(plan)
 
 
 def test_strict_mode_is_asked_in_the_papers_style():

@@ -18,6 +18,7 @@ from PIL import Image
 from thinkgrasp.memory import Attempt, Memory
 from thinkgrasp.planners.parsing import parse_reply
 from thinkgrasp.planners.prompts import marks_prompt, paper_prompt, quoted, reply_schema, to_frame
+from thinkgrasp.selection import middle_cell
 from thinkgrasp.types import Grasp, Obstruction, Outcome, Plan, Scene
 
 SCENE = FakeScene().perceive(table_frame())
@@ -101,7 +102,7 @@ def test_the_example_of_the_paper_style_is_read_as_it_is_meant(grid):
     assert (plan.target, plan.kind, plan.role) == ("black bread knife handle", "part", "goal")
     assert plan.crop_xyxy == (48, 60, 172, 141)
     assert [o.grasp_score for o in plan.objects] == [80, 35]
-    assert plan.cell == (grid * grid + 1) // 2
+    assert plan.cell == middle_cell(grid)
 
 
 def test_the_schema_is_strict_and_the_same_for_every_scene():

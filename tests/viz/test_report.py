@@ -24,7 +24,7 @@ from thinkgrasp.errors import InputError
 from thinkgrasp.gripper import GRIPPERS
 from thinkgrasp.recorder import EpisodeRecorder
 from thinkgrasp.sim.tabletop import demo_camera, demo_scene, render
-from thinkgrasp.types import Decision, Degradation, Obstruction, Outcome
+from thinkgrasp.types import Decision, Degradation, Obstruction, Outcome, Usage
 from thinkgrasp.viz import report
 from thinkgrasp.viz.compact import compact_scene
 from thinkgrasp.viz.graph import describe, draw_graph
@@ -45,6 +45,9 @@ def decisions() -> tuple[Decision, ...]:
     return tuple(pipeline.decide(frame, words) for words in said)
 
 
+NOTHING_SPENT = Usage()
+
+
 def record(
     folder: Path,
     steps: list[tuple[Decision, Outcome | None]],
@@ -52,6 +55,7 @@ def record(
     preset: str = "offline",
     instruction: str = "I need a fruit",
     end: str | None = "goal_delivered",
+    usage: Usage = NOTHING_SPENT,
 ) -> str:
     """Record an episode and return its page."""
     header = EpisodeHeader(instruction=instruction, goal="banana", preset=preset, seed=7)
@@ -59,7 +63,7 @@ def record(
     for step in steps:
         recorder.record(*step)
     if end is not None:
-        recorder.finish(end=end, success=end == "goal_delivered")
+        recorder.finish(end=end, success=end == "goal_delivered", usage=usage)
     return (folder / "report.html").read_text("utf-8")
 
 

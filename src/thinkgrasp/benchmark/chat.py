@@ -84,6 +84,11 @@ class Request:
     properties: tuple[str, ...]
     """Of the JSON schema, in its order; empty = not said."""
 
+    @property
+    def wants_pixel(self) -> bool:
+        """Whether the reply is to name a pixel instead of a box and cells."""
+        return "Grasp pixel:" in self.text
+
     @cached_property
     def marks(self) -> dict[int, BoxXYXY]:
         """Boxes [px of the picture] by mark."""

@@ -40,6 +40,7 @@ class Quality:
     accuracy: float = 1.0
     """Of naming the right thing to take; else another one that is seen and no goal, called by its own name."""
     wrong_cell: float = 0.0
+    """Of another cell than the best, or of any pixel in the thing's box."""
     malformed: float = 0.0
     """Empty, cut off, not of the format asked for, or without any answer."""
     refusal: float = 0.0
@@ -153,9 +154,11 @@ class VlmEmulator:
         picture = PictureAnswer(self._session, request, self._grid)
         is_right = accurate < quality.accuracy
         said = picture.right() if is_right else picture.wrong(rng)
-        if said is not None and misplaced < quality.wrong_cell and self._grid > 1:
-            others = [cell for cell in range(1, self._grid**2 + 1) if cell != said.cell]
-            said = replace(said, cell=int(rng.choice(others)))
+        if said is not None and misplaced < quality.wrong_cell:
+            x0, y0, x1, y1 = said.box
+            others = [cell for cell in range(1, self._grid**2 + 1) if cell != said.cell] or [said.cell]
+            pixel = int(rng.integers(x0, x1)), int(rng.integers(y0, y1))
+            said = replace(said, cell=int(rng.choice(others)), pixel=pixel)
         text = picture.words(said)
         served = Served("right" if is_right else "wrong")
         if said is not None:

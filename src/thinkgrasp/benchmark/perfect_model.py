@@ -75,9 +75,10 @@ def view_that_shows(world: World, views: Sequence[CameraView], picture: NDArray[
 
 @dataclass(frozen=True)
 class Spot:
-    """The cell to take a thing by, and the part to name with it (None: the thing as a whole)."""
+    """The cell and the pixel (u, v) to take a thing by, and the part to name with it (None: the thing as a whole)."""
 
     cell: int
+    pixel: tuple[int, int]
     part: str | None
 
 
@@ -215,7 +216,9 @@ class PictureTruth:
         )
         score = np.bincount(row * grid + column, weights=np.exp(-(distance**2)), minlength=grid**2)
         score[[cell - 1 for cell in failed if 1 <= cell <= grid**2]] *= 0.01
-        return Spot(int(score.argmax()) + 1, None if part in UNNAMED_PARTS else part)
+        nearest = int(distance.argmin())
+        pixel = int(u[nearest]), int(v[nearest])
+        return Spot(int(score.argmax()) + 1, pixel, None if part in UNNAMED_PARTS else part)
 
 
 def _is_seen(part: Mask | None, whole: Mask) -> bool:

@@ -11,6 +11,7 @@ from PIL import Image
 
 from thinkgrasp.benchmark.chat import Request
 from thinkgrasp.benchmark.perfect_model import PictureTruth, frozen, view_that_shows
+from thinkgrasp.selection import middle_cell
 from thinkgrasp.testbed import Session
 from thinkgrasp.types import BoxXYXY, Role
 
@@ -30,6 +31,8 @@ class Said:
     box: BoxXYXY
     """Of the picture [px]."""
     cell: int
+    pixel: tuple[int, int]
+    """(u, v) of the picture."""
     part: str | None
     role: Role
     is_goal_seen: bool
@@ -124,8 +127,9 @@ class PictureAnswer:
         box = self._truth.box(index) if mark is None else self._boxes[mark]
         spot = self._truth.spot(index, box, self._grid, self._request.failed_cells(mark))
         sent = tuple(round(c / self._scale) for c in box)
-        return Said(index, mark, (sent[0], sent[1], sent[2], sent[3]), spot.cell, spot.part, role, self._is_goal_seen,
-                     because)  # fmt: skip
+        u, v = (int((c + 0.5) / self._scale) for c in spot.pixel)
+        return Said(index, mark, (sent[0], sent[1], sent[2], sent[3]), spot.cell, (u, v), spot.part, role,
+                    self._is_goal_seen, because)  # fmt: skip
 
     # -- words -------------------------------------------------------------------------------------------------------
 
@@ -138,11 +142,11 @@ class PictureAnswer:
         return json.dumps({key: data[key] for key in wanted if key in data})
 
     def _data(self, said: Said | None) -> dict[str, object]:
-        middle = (self._grid**2 + 1) // 2
         if said is None:
             return {
-                "visible": False, "target": "none", "mark": None, "role": "goal", "kind": "object", "cell": middle,
-                "objects": [], "rationale": f"{FROM_TRUTH} no goal is left to take, or nothing that leads to it",
+                "visible": False, "target": "none", "mark": None, "role": "goal", "kind": "object",
+                "cell": middle_cell(self._grid), "objects": [],
+                "rationale": f"{FROM_TRUTH} no goal is left to take, or nothing that leads to it",
             }  # fmt: skip
         return {
             "visible": said.is_goal_seen,
@@ -163,8 +167,11 @@ class PictureAnswer:
             return f"Rationale: {FROM_TRUTH} no goal is left to take\nGoal visible: no\nSelected object: none"
         name = self._truth.name(said.taken)
         selected = f"Selected object: {name}" if said.part is None else f"Selected object part: {name}: {said.part}"
+        rationale = f"Rationale: {FROM_TRUTH} {said.because}"
         visible = f"Goal visible: {'yes' if said.is_goal_seen else 'no'}"
-        lines = [f"Rationale: {FROM_TRUTH} {said.because}", visible, selected, f"Cropping box: {said.box}", "Objects:"]
+        if self._request.wants_pixel:
+            return "\n".join((rationale, visible, selected, f"Grasp pixel: {said.pixel}"))
+        lines = [rationale, visible, selected, f"Cropping box: {said.box}", "Objects:"]
         lines += [f"- {o.name}: grasp score {o.score}, preferred cell {o.cell}" for o in self._others(said)]
         return "\n".join(lines)
 

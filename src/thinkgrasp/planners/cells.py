@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from thinkgrasp.selection import middle_cell
 from thinkgrasp.types import Mask, Proposal, Scene
 
 Float = NDArray[np.float64]
@@ -105,7 +106,7 @@ def choose_cell(
     inside = mask & ((outline.u >= x0) & (outline.u < x1))[None, :] & ((outline.v >= y0) & (outline.v < y1))[:, None]
     n = grid * grid
     if not inside.any():
-        return CellChoice((n + 1) // 2, 0.0, 0.0, ("the outline is too thin to choose a cell from",))
+        return CellChoice(middle_cell(grid), 0.0, 0.0, ("the outline is too thin to choose a cell from",))
 
     cells = cell_at[inside]
     count = np.bincount(cells, minlength=n).astype(float)

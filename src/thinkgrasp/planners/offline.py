@@ -25,6 +25,7 @@ from thinkgrasp.language.wanted import Query, Wanted
 from thinkgrasp.memory import Memory
 from thinkgrasp.planners.cells import CellChoice, Outline, choose_cell, part_region
 from thinkgrasp.planners.clearing import Hider, Way, likely_hider, next_to_clear, way_to
+from thinkgrasp.selection import middle_cell
 from thinkgrasp.types import Degradation, Mask, Obstruction, Plan, PlanKind, PlannedObject, Proposal, Scene
 
 FAILURE_PENALTY = 0.7
@@ -198,8 +199,7 @@ class OfflinePlanner:
         return next_to_clear(scene, skip) or (None if goals - stuck else next_to_clear(scene, stuck | goals))
 
     def _nothing(self, query: Query, rationale: str) -> Plan:
-        middle = (self.grid**2 + 1) // 2
-        return Plan(query.label, rationale, grid=self.grid, cell=middle, found=False)
+        return Plan(query.label, rationale, grid=self.grid, cell=middle_cell(self.grid), found=False)
 
     def _objects(self, scene: Scene, grounding: Grounding) -> tuple[PlannedObject, ...]:
         names = _names(scene, grounding, self.min_score)

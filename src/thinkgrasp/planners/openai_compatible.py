@@ -16,15 +16,16 @@ from thinkgrasp.errors import ConfigError, MissingDependency
 from thinkgrasp.memory import Memory
 from thinkgrasp.planners.offline import OfflinePlanner, Search
 from thinkgrasp.planners.parsing import PlanParseError, parse_reply
-from thinkgrasp.planners.prompts import Prompt, marks_prompt, paper_prompt, to_frame
+from thinkgrasp.planners.prompts import Prompt, Style, marks_prompt, paper_prompt, point_prompt, to_frame
 from thinkgrasp.planners.vlm.accounting import PriceList, Spending
 from thinkgrasp.planners.vlm.cassette import Recording, Replay
 from thinkgrasp.planners.vlm.chat import Answer, Chat, Detail, Question, Unanswered
 from thinkgrasp.planners.vlm.patience import Backoff, CircuitBreaker
 from thinkgrasp.planners.vlm.support import UnsupportedPlan, check_box, freed, on_scene
+from thinkgrasp.selection import middle_cell
 from thinkgrasp.types import Degradation, Plan, Scene, Usage
 
-Style = Literal["marks", "paper"]
+OnBudget = Literal["stop", "offline"]
 
 PAPER_IMAGE_WH = (224, 224)
 MARKS_IMAGE_WIDTH = 640
@@ -41,10 +42,11 @@ class OpenAIPlanner:
         key_env: Name of the environment variable with the API key. None = OPENAI_API_KEY for OpenAI, and no key for
             any other server.
         key_file: File that holds the key alone; goes before the environment.
-        style: "marks" draws numbers on the proposals and lists them; "paper" sends the plain image, as the paper did.
+        style: "marks" draws numbers on the proposals and lists them; "paper" sends the plain image, as the paper did;
+            "point" does so and asks for the pixel to grasp at, for a segmenter that takes it ("plan_point").
         grid: Cells per side of the target's box.
         image_width: Width of the image sent [px], its height by the frame's shape; None = 640 for marks, and
-            224 x 224 for the paper's style.
+            224 x 224 for the other styles.
         detail: How closely OpenAI's models look at the image; "auto" is not sent.
         clear_first: In the marks style, take what depth shows to hide or to rest on the model's choice before it.
         request_timeout_s: For each request.
@@ -52,12 +54,15 @@ class OpenAIPlanner:
         retries: How often a failed request is repeated.
         breaker_failures: After so many failed requests in a row the server is left alone ...
         breaker_rest_s: ... for this long, then tried with one request.
-        budget_usd: Once so much is spent by this planner, the model is asked no more; None = no limit.
+        budget_usd: Once so much is spent by this planner, which is made anew for every episode, the model is asked no
+            more; None = no limit.
+        on_budget: Then "stop": the plan says so and the episode ends; or "offline": the offline planner goes on.
         prices: TOML file or mapping {model: {input, output}} in dollars per million tokens, over the built-in prices.
         record: Cassette to write every question and answer to.
         replay: Cassette to answer from, without a network or a key.
         fallback: Plan with the offline planner where the model gives no usable plan; else such a plan is not `found`.
-        search: Where the fallback looks for a goal that is not seen, as in OfflinePlanner.
+        search: Where the fallback looks for a goal that is not seen, as in OfflinePlanner; with "all", a model that
+            says that nothing is left is overruled while there is something to clear.
         temperature: Of the model's sampling; None = the server's own.
         seed: Of the random part of waits.
         clock: Monotonic [s].
@@ -86,6 +91,7 @@ class OpenAIPlanner:
         breaker_failures: int = 5,
         breaker_rest_s: float = 60,
         budget_usd: float | None = None,
+        on_budget: OnBudget = "stop",
         prices: str | Path | Mapping[str, object] | None = None,
         record: str | Path | None = None,
         replay: str | Path | None = None,
@@ -99,6 +105,10 @@ class OpenAIPlanner:
         _require(isinstance(model, str) and bool(model.strip()), f"model must name a model, got {model!r}")
         _require(style in get_args(Style), f"style must be one of {', '.join(get_args(Style))}, got {style!r}")
         _require(detail in get_args(Detail), f"detail must be one of {', '.join(get_args(Detail))}, got {detail!r}")
+        _require(
+            on_budget in get_args(OnBudget),
+            f"on_budget must be one of {', '.join(get_args(OnBudget))}, got {on_budget!r}",
+        )
         _within("grid", grid, 1, 15, whole=True)
         _within("image_width", image_width, 64, 4096, whole=True, optional=True)
         _within("request_timeout_s", request_timeout_s, 0.001, 3600)
@@ -117,10 +127,12 @@ class OpenAIPlanner:
         self.clear_first = clear_first
         self.decision_timeout_s = decision_timeout_s
         self.budget_usd = budget_usd
+        self.on_budget: OnBudget = on_budget
         self.temperature = temperature
         self.spent = Spending()
         """What this planner spent so far."""
         self._fallback = OfflinePlanner(grid=grid, search=search) if fallback else None
+        self._is_told_to_clear = search == "all"
         self._clock = clock
         price_list = PriceList.load(prices)
         self._price = price_list.of(model)
@@ -159,7 +171,12 @@ class OpenAIPlanner:
         prompt, notes = self._prompt(scene, instruction, memory)
         talk = _Talk(notes)
         try:
-            plan = self._agree(prompt, scene, memory, talk)
+            plan = self._agree(prompt, scene, instruction, memory, talk)
+        except _OutOfBudget as failure:
+            if self.on_budget == "stop":
+                plan = replace(self._no_plan(failure.reason, "the episode ends"), out_of_budget=True)
+            else:
+                plan = self._without_model(scene, instruction, memory, failure.reason)
         except Unanswered as failure:
             plan = self._without_model(scene, instruction, memory, failure.reason)
         return replace(plan, degraded=(*talk.notes, *plan.degraded), usage=talk.usage(self.model))
@@ -175,9 +192,11 @@ class OpenAIPlanner:
         if self.image_width is not None:
             h, w = scene.frame.depth.shape
             image_wh = (self.image_width, max(round(self.image_width * h / w), 1))
+        if self.style == "point":
+            return point_prompt(scene, instruction, image_wh=image_wh), notes
         return paper_prompt(scene, instruction, memory, grid=self.grid, image_wh=image_wh), notes
 
-    def _agree(self, prompt: Prompt, scene: Scene, memory: Memory, talk: _Talk) -> Plan:
+    def _agree(self, prompt: Prompt, scene: Scene, instruction: str, memory: Memory, talk: _Talk) -> Plan:
         """Ask, and ask once more where the reply cannot be used; raise Unanswered where that does not help."""
         deadline = self._clock() + self.decision_timeout_s
         question = Question(
@@ -191,20 +210,26 @@ class OpenAIPlanner:
         )
         answer = self._ask(question, deadline, talk)
         try:
-            return self._usable(answer, prompt, scene, memory)
+            plan = self._usable(answer, prompt, scene, memory)
+            if (doubt := self._doubt(plan, scene, instruction, memory)) is None:
+                return plan
+            problem = _shortened(doubt)
         except (PlanParseError, UnsupportedPlan) as error:
             problem = _shortened(str(error))
         talk.notes.append(Degradation("plan", f"the reply could not be used: {problem}", "asked to mend it"))
         answer = self._ask(question.again(answer.text, problem), deadline, talk)
         try:
-            return self._usable(answer, prompt, scene, memory)
+            plan = self._usable(answer, prompt, scene, memory)
         except (PlanParseError, UnsupportedPlan) as error:
             raise Unanswered(f"nor could the mended reply be used: {_shortened(str(error))}") from None
+        if self._is_told_to_clear and self._doubt(plan, scene, instruction, memory) is not None:
+            raise Unanswered("the model says again that nothing is left to take")
+        return plan
 
     def _ask(self, question: Question, deadline: float, talk: _Talk) -> Answer:
         if self.budget_usd is not None and (self.spent.usd is None or self.spent.usd >= self.budget_usd):
             spent = "an unknown sum is" if self.spent.usd is None else f"{self.spent.usd:.4f} USD are"
-            raise Unanswered(f"the budget of {self.budget_usd:g} USD allows no more requests: {spent} spent")
+            raise _OutOfBudget(f"the budget of {self.budget_usd:g} USD allows no more requests: {spent} spent")
         try:
             answer = self._chat.ask(question, deadline)
         except Unanswered as failure:
@@ -229,17 +254,34 @@ class OpenAIPlanner:
         image_wh = (prompt.image.shape[1], prompt.image.shape[0])
         plan = parse_reply(answer.text, grid=self.grid, image_wh=image_wh)
         check_box(plan, image_wh)
+        if prompt.style == "point" and plan.found and plan.point_px is None:
+            raise UnsupportedPlan(f"it names no grasp pixel for {plan.target!r}")
         plan = on_scene(to_frame(plan, prompt), scene, memory)
         return freed(plan, scene, memory) if prompt.style == "marks" and self.clear_first else plan
 
+    def _doubt(self, plan: Plan, scene: Scene, instruction: str, memory: Memory) -> str | None:
+        """Return what speaks against a plan that says that nothing is left to take; None where nothing does."""
+        if plan.found or self._fallback is None:
+            return None
+        other = self._fallback.plan(scene, instruction, memory)
+        if not other.found:
+            return None
+        return f"it takes nothing, but there is something to take, for example mark {other.mark}: {other.rationale}"
+
+    def _no_plan(self, reason: str, instead: str) -> Plan:
+        rationale, cell = f"the vision-language model gave no plan: {reason}", middle_cell(self.grid)
+        degraded = (Degradation("plan", reason, instead),)
+        return Plan("", rationale, grid=self.grid, cell=cell, found=False, degraded=degraded)
+
     def _without_model(self, scene: Scene, instruction: str, memory: Memory, reason: str) -> Plan:
         if self._fallback is None:
-            degraded = Degradation("plan", reason, "no plan, as the fallback is off")
-            rationale = f"the vision-language model gave no plan: {reason}"
-            middle = (self.grid**2 + 1) // 2
-            return Plan("", rationale, grid=self.grid, cell=middle, found=False, degraded=(degraded,))
+            return self._no_plan(reason, "no plan, as the fallback is off")
         plan = self._fallback.plan(scene, instruction, memory)
         return replace(plan, degraded=(Degradation("plan", reason, "the offline planner"), *plan.degraded))
+
+
+class _OutOfBudget(Unanswered):
+    """Nothing more may be spent."""
 
 
 class _Talk:

@@ -18,9 +18,11 @@ from thinkgrasp.planners.reply_values import (
     read_box,
     read_cell,
     read_mark,
+    read_pixel,
     read_score,
     read_target,
 )
+from thinkgrasp.selection import middle_cell
 from thinkgrasp.types import Plan, PlanKind, PlannedObject, Role
 
 __all__ = ["PlanParseError", "parse_reply"]
@@ -68,8 +70,9 @@ def parse_reply(text: str, *, grid: int = 3, image_wh: tuple[int, int]) -> Plan:
     if mark is None and (not target.name or is_nothing(target.name)):
         if not target.name and (visible or not reply.visible):
             raise PlanParseError(f"the reply names no target: {quote(answer)}")
-        cell = (grid**2 + 1) // 2
-        return Plan("", _rationale(reply), grid=grid, cell=cell, objects=_objects(reply, grid), found=False)
+        return Plan(
+            "", _rationale(reply), grid=grid, cell=middle_cell(grid), objects=_objects(reply, grid), found=False
+        )
     if not target.name or is_nothing(target.name):
         target = Target(f"mark {mark}", target.kind, "")
     return Plan(
@@ -81,6 +84,7 @@ def parse_reply(text: str, *, grid: int = 3, image_wh: tuple[int, int]) -> Plan:
         grid=grid,
         cell=_cell(reply, target.name, mark, grid),
         crop_xyxy=read_box(reply.box, image_wh),
+        point_px=read_pixel(reply.pixel, image_wh),
         objects=_objects(reply, grid),
     )
 
@@ -125,7 +129,7 @@ def _cell(reply: Reply, target: str, mark: int | None, grid: int) -> int:
         entry = _entry_of(reply.entries, target, mark)
         text = entry.cell if entry is not None else ""
     cell = read_cell(text, grid) if text else None
-    return cell if cell is not None else (grid**2 + 1) // 2
+    return cell if cell is not None else middle_cell(grid)
 
 
 def _entry_of(entries: tuple[Entry, ...], target: str, mark: int | None) -> Entry | None:

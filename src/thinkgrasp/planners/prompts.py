@@ -1,7 +1,8 @@
 """What a vision-language model is asked: the picture, the scene in words, and the form of its answer.
 
-Two styles. "marks" shows what depth has found as numbered marks, says what obstructs what and what failed, and wants
-JSON. "paper" gives the picture and the request alone and wants labelled lines, as in the paper.
+Three styles. "marks" shows what depth has found as numbered marks, says what obstructs what and what failed, and wants
+JSON. "paper" gives the picture and the request alone and wants labelled lines, as in the paper. "point" does so too,
+but wants the pixel to grasp at instead of boxes and cells: the ablation that leaves everything to the model.
 
 Whatever comes from outside (the request, names from earlier replies) stands in quotes on one line, without angle
 brackets, so that it can neither close the block it is in nor look like a line of ours.
@@ -25,9 +26,10 @@ from thinkgrasp.memory import Attempt, Memory
 from thinkgrasp.planners.clearing import severity
 from thinkgrasp.planners.marks import draw_marks, resized
 from thinkgrasp.planners.reply_values import plain
+from thinkgrasp.selection import middle_cell
 from thinkgrasp.types import Obstruction, Plan, Proposal, Scene
 
-Style = Literal["marks", "paper"]
+Style = Literal["marks", "paper", "point"]
 
 MAX_REQUEST_CHARS = 500
 MAX_NAME_CHARS = 60
@@ -105,6 +107,16 @@ def paper_prompt(
         grid: Cells per side of a thing's box.
         image_wh: Largest picture sent [px]; the frame is made to fit and keeps its proportions.
     """
+    system = _PAPER_SYSTEM.format(cells=_cells(grid), last=grid * grid, middle=middle_cell(grid))
+    return _plain_prompt(scene, instruction, image_wh, system, "paper")
+
+
+def point_prompt(scene: Scene, instruction: str, *, image_wh: tuple[int, int] = (224, 224)) -> Prompt:
+    """Ask for the one pixel to grasp at, with the picture and the request alone; arguments as of `paper_prompt`."""
+    return _plain_prompt(scene, instruction, image_wh, _POINT_SYSTEM, "point")
+
+
+def _plain_prompt(scene: Scene, instruction: str, image_wh: tuple[int, int], system: str, style: Style) -> Prompt:
     camera = scene.frame.camera
     scale = min(image_wh[0] / camera.width, image_wh[1] / camera.height)
     w, h = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
@@ -113,16 +125,18 @@ def paper_prompt(
         f"The picture is {w} x {h} pixels, x to the right, y down. Decide what the gripper takes now."
     )
     image = resized(scene.frame.color, (w, h))
-    system = _PAPER_SYSTEM.format(cells=_cells(grid), last=grid * grid, middle=(grid * grid + 1) // 2)
-    return Prompt(system, text, image, None, scale, (camera.width, camera.height), "paper")
+    return Prompt(system, text, image, None, scale, (camera.width, camera.height), style)
 
 
 def to_frame(plan: Plan, prompt: Prompt) -> Plan:
-    """Return a plan with its box in pixels of the frame instead of those of the picture sent."""
-    if plan.crop_xyxy is None:
-        return plan
+    """Return a plan with its box and point in pixels of the frame instead of those of the picture sent."""
     w, h = prompt.frame_wh
     across, down = w / prompt.image.shape[1], h / prompt.image.shape[0]
+    if plan.point_px is not None:
+        u, v = ((at + 0.5) * scale - 0.5 for at, scale in zip(plan.point_px, (across, down), strict=True))
+        plan = replace(plan, point_px=(min(max(round(u), 0), w - 1), min(max(round(v), 0), h - 1)))
+    if plan.crop_xyxy is None:
+        return plan
     x0, y0, x1, y1 = plan.crop_xyxy
     left, top = min(round(x0 * across), w - 1), min(round(y0 * down), h - 1)
     right, bottom = min(max(round(x1 * across), left + 1), w), min(max(round(y1 * down), top + 1), h)
@@ -283,5 +297,23 @@ Cropping box: (48, 60, 172, 141)
 Objects:
 - black bread knife: grasp score 80, preferred cell {middle}
 - white plate: grasp score 35, preferred cell 1
+"""
+)
+
+_POINT_SYSTEM = (
+    _ROLE
+    + """
+Work in this order:
+1. Imagine the picture divided into its separate objects and name each by colour and kind.
+2. Select what to take. If the goal is in view, select it, or the part of it that is safer or easier to hold, such as a
+   knife's handle. If it is not in view, select the object that is most cost-effective to move: likely to hide the goal,
+   easy to grasp and safe.
+3. Name the pixel of the picture, on the selection itself, that two fingers are to close on.
+
+Answer in these lines and nothing else. Write "Selected object: none" if nothing in view is worth taking.
+
+Goal visible: <yes or no>
+Selected object: <name>
+Grasp pixel: (<x>, <y>)
 """
 )

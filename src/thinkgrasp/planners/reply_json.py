@@ -28,6 +28,7 @@ _CELL = (
     *("graspinglocation", "grasplocation", "gridcell", "location"),
 )
 _BOX = ("croppingbox", "croppingboxcoordinates", "cropbox", "crop", "cropxyxy", "boundingbox", "bbox", "box")
+_PIXEL = ("grasppixel", "graspingpixel", "pixel")
 _OBJECTS = ("objects", "objectsandtheirproperties", "objectproperties", "candidates")
 _NAME = ("name", "object", "objectname", "label", "item")
 _SCORE = ("graspscore", "graspingscore", "graspability", "score")
@@ -53,6 +54,7 @@ def _reply(fields: Mapping[str, Value]) -> Reply:
         mark=_text(fields, _MARK),
         cell=_text(fields, _CELL),
         box=_text(fields, _BOX),
+        pixel=_text(fields, _PIXEL),
         rationale=_text(fields, _RATIONALE),
         entries=tuple(_entries(_get(fields, _OBJECTS)))[:MAX_ENTRIES],
     )

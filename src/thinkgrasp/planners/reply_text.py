@@ -41,6 +41,7 @@ _LABELS = {
     "header": r"objects\b[^:\n]{0,60}:",
     "box": rf"(?:crop(?:ping|ped)?[\s_-]*(?:box|region|area)?|bounding[\s_-]*box|bbox)(?:[\s_]*coordinates?)?"
     rf"(?:{_SEP}|\s+(?=[(\[\d]))",
+    "pixel": rf"(?:grasp(?:ing)?[\s_-]*)?pixel(?:[\s_]*(?:coordinates?|position))?(?:{_SEP}|\s+(?=[(\[\d]))",
     "score": rf"(?:(?:grasp(?:ing|ability)?|success)[\s_-]*)?score\b{_NUMBER_SEP}"
     rf"|(?:graspability|ease of grasping){_SEP}",
     "cell": r"(?:(?:preferred|best|recommended|optimal|ideal)[\s_-]*(?:grasp(?:ing)?[\s_-]*)?"
@@ -224,13 +225,14 @@ def _reply(target: _Field, before: list[_Field], after: list[_Field]) -> Reply:
         visible=first.get("visible", ""),
         mark=first.get("mark", ""),
         cell=collector.own.cell,
+        pixel=_untruncated(first.get("pixel", ""), is_last=not after or after[-1].kind == "pixel", numbers=2),
         box=_untruncated(first.get("box", ""), is_last=not after or after[-1].kind == "box"),
         rationale=first.get("rationale", ""),
         entries=tuple(entries[:MAX_ENTRIES]),
     )
 
 
-def _untruncated(box: str, *, is_last: bool) -> str:
-    """Return a box's text; "" where the reply was cut off within it."""
-    opened = len(re.findall(r"[(\[{]", box)) > len(re.findall(r"[)\]}]", box))
-    return "" if is_last and (opened or len(re.findall(r"\d+", box)) < 4) else box
+def _untruncated(value: str, *, is_last: bool, numbers: int = 4) -> str:
+    """Return the text of so many numbers, as of a box; "" where the reply was cut off within it."""
+    opened = len(re.findall(r"[(\[{]", value)) > len(re.findall(r"[)\]}]", value))
+    return "" if is_last and (opened or len(re.findall(r"\d+", value)) < numbers) else value

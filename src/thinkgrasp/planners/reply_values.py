@@ -40,6 +40,7 @@ class Reply:
     mark: str = ""
     cell: str = ""
     box: str = ""
+    pixel: str = ""
     rationale: str = ""
     entries: tuple[Entry, ...] = ()
 
@@ -260,6 +261,32 @@ def read_box(text: str, image_wh: tuple[int, int]) -> BoxXYXY | None:
     if x0 >= x1 or y0 >= y1:
         raise PlanParseError(f"the box {quote(text)} has no area inside the image of {w}x{h} pixels")
     return x0, y0, x1, y1
+
+
+def read_pixel(text: str, image_wh: tuple[int, int]) -> tuple[int, int] | None:
+    """Read a pixel as x, y in pixels (or shares or percents of the image), in any brackets, labelled or not.
+
+    Returns:
+        (u, v); None where none is given.
+
+    Raises:
+        PlanParseError: It has not two numbers, or lies outside the image.
+    """
+    value = plain(text[:MAX_VALUE_CHARS])
+    if not re.search(r"\d", value):
+        return None
+    numbers = _numbers(value)
+    if len(numbers) != 2 or not all(map(math.isfinite, numbers)):
+        raise PlanParseError(f"a pixel must be two numbers x, y; the reply says {quote(text)}")
+    w, h = image_wh
+    if "%" in value:
+        numbers = [n / 100 for n in numbers]
+    if all(0 <= n <= 1 for n in numbers) and (max(numbers) < 1 or "." in value):
+        numbers = [n * side for n, side in zip(numbers, (w, h), strict=True)]
+    u, v = (math.floor(n) for n in numbers)
+    if not (0 <= u <= w and 0 <= v <= h):
+        raise PlanParseError(f"the pixel {quote(text)} lies outside the image of {w}x{h} pixels")
+    return min(u, w - 1), min(v, h - 1)
 
 
 def _box_numbers(value: str) -> list[float] | None:

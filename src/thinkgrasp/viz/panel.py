@@ -12,7 +12,7 @@ from PIL import Image
 
 from thinkgrasp.episode import OutcomeModel, StepLine
 from thinkgrasp.gripper import Gripper
-from thinkgrasp.types import Decision, Outcome, Proposal
+from thinkgrasp.types import Decision, Outcome, Proposal, Usage
 from thinkgrasp.viz.compact import compact_scene
 from thinkgrasp.viz.graph import MEANING, describe, draw_graph
 from thinkgrasp.viz.overlay import draw_overlay
@@ -159,8 +159,18 @@ def _plan(decision: Decision) -> str:
     if grasp is not None:
         facts.append(("Opening", f"{grasp.width_m * 1e3:.0f} mm"))
         facts.append(("Grasp score", f"{grasp.score:.2f}"))
+    if plan.usage.requests:
+        facts.append(("Asked", spent(plan.usage)))
     rows = "".join(f'<dt>{name}</dt><dd dir="auto">{value}</dd>' for name, value in facts)
     return f"<section><h3>Plan</h3><dl>{rows}</dl>{_considered(decision)}</section>"
+
+
+def spent(usage: Usage) -> str:
+    """Return what asking a model took, as HTML in one line."""
+    tokens = usage.prompt_tokens + usage.completion_tokens
+    cost = "price unknown" if usage.usd is None else f"{usage.usd:.4f} USD"
+    requests = _count(usage.requests, "request")
+    return text(f"{usage.model}: {requests}, {tokens} tokens, {cost}, {usage.latency_s:.1f} s")
 
 
 def _considered(decision: Decision) -> str:

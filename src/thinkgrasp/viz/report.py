@@ -12,7 +12,8 @@ from thinkgrasp.episode import REPORT_FILE, VIDEO_FILE, RecordedEpisode, Recorde
 from thinkgrasp.errors import InputError
 from thinkgrasp.loop import END_WORDS
 from thinkgrasp.outputs import write_atomic
-from thinkgrasp.viz.panel import badge, text
+from thinkgrasp.types import Usage
+from thinkgrasp.viz.panel import badge, spent, text
 
 MAX_INLINE_VIDEO_BYTES = 16_000_000
 """A larger video is linked, not put into the page."""
@@ -83,6 +84,8 @@ def _header(episode: RecordedEpisode) -> str:
         ("Seed", str(header.seed)),
         ("Duration", f"{sum(s.line.duration_s for s in episode.steps):.1f} s"),
     ]
+    if ended is not None and ended.usage.requests:
+        facts.append(("Model", spent(Usage(**ended.usage.model_dump()))))
     rows = "".join(f'<div><dt>{name}</dt><dd dir="auto">{value}</dd></div>' for name, value in facts)
     items = "".join(
         f'<li><a href="#step-{s.line.step}"><b>{s.line.step}</b>'

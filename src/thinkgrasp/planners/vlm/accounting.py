@@ -66,7 +66,7 @@ class Spending:
 
     def usage(self, model: str) -> Usage:
         """Return it as a plan's usage."""
-        return Usage(model, self.prompt_tokens, self.completion_tokens, self.usd, self.requests)
+        return Usage(model, self.prompt_tokens, self.completion_tokens, self.usd, self.requests, self.latency_s)
 
 
 class PriceList:

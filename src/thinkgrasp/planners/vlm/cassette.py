@@ -76,15 +76,10 @@ class Recording:
             self._images.add(question.image_digest)
         asked = question.summary()
         if isinstance(outcome, Unanswered):
-            told = {
-                "failure": {
-                    "reason": outcome.reason,
-                    "requests": outcome.requests,
-                    "latency_s": round(outcome.latency_s, 4),
-                }
-            }
+            spent = {"requests": outcome.requests, "latency_s": outcome.latency_s}
+            told = {"failure": {"reason": outcome.reason, **spent}}
         else:
-            told = {"answer": asdict(outcome) | {"latency_s": round(outcome.latency_s, 4)}}
+            told = {"answer": asdict(outcome)}
         self._write({"question": question.digest, "asked": asked, **told})
 
     def _write(self, line: dict[str, object]) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from thinkgrasp.errors import ThinkGraspError
 from thinkgrasp.language.grounding import MIN_SCORE, ground, plain_names
 from thinkgrasp.language.query import parse
@@ -16,6 +18,8 @@ SAME_BOX = 0.5
 """Intersection over union from which on a box is taken to be one thing's box."""
 SOME_OVERLAP = 0.1
 """Least intersection over union by which a box alone tells a thing."""
+NEAR_PX = 8
+"""So far beside a thing a pixel may lie that is said to be on it."""
 MAX_NAME, MAX_RATIONALE = 200, 2000
 
 
@@ -115,12 +119,14 @@ def _line(text: str, most: int) -> str:
 
 
 def _supporting(plan: Plan, scene: Scene) -> Proposal:
-    """Return the thing that a plan is about: by its mark, else by its box, else by its words."""
+    """Return the thing that a plan is about: by its mark, else by its pixel, its box, or its words."""
     marks = [p.mark for p in scene.proposals]
     if plan.mark is not None:
         if plan.mark not in marks:
             raise UnsupportedPlan(f"mark {plan.mark} does not exist; the marks are {', '.join(map(str, marks))}")
         return scene.proposal(plan.mark)
+    if plan.point_px is not None:
+        return _at(plan.point_px, scene)
     by_words = [m.mark for m in ground(scene, parse(plan.target)).fitting(MIN_SCORE)] if plan.target else []
     if plan.crop_xyxy is not None:
         box = plan.crop_xyxy
@@ -135,6 +141,20 @@ def _supporting(plan: Plan, scene: Scene) -> Proposal:
     if by_words:
         return scene.proposal(by_words[0])
     raise UnsupportedPlan(f"nothing in the scene answers to {plan.target!r} or lies where the reply says it does")
+
+
+def _at(point_px: tuple[int, int], scene: Scene) -> Proposal:
+    """Return the thing with the pixel nearest to a point."""
+    u, v = point_px
+    distances: list[tuple[float, int]] = []
+    for p in scene.proposals:
+        rows, columns = np.nonzero(p.mask)
+        if len(rows):
+            distances.append((float(np.hypot(rows - v, columns - u).min()), p.mark))
+    distance, mark = min(distances, default=(np.inf, 0))
+    if distance > NEAR_PX:
+        raise UnsupportedPlan("nothing that can be taken is seen at the grasp pixel; name one on the thing itself")
+    return scene.proposal(mark)
 
 
 def _overlap(a: BoxXYXY, b: BoxXYXY) -> float:
