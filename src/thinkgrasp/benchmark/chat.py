@@ -171,16 +171,25 @@ def error_reply(status: int, code: str, message: str, headers: tuple[tuple[str, 
     return Reply(status, {"error": error}, headers)
 
 
+def image_tokens(size_wh: tuple[int, int], detail: str) -> int:
+    """Return what a picture counts, after the published rules of GPT-4o.
+
+    85, and unless the detail is low another 170 per tile of 512 px after scaling to 768 px on the shorter side.
+    """
+    w, h = size_wh
+    shrink = min(1.0, 2048 / max(h, w), 768 / min(h, w))
+    tiles = 0 if detail == "low" else math.ceil(w * shrink / 512) * math.ceil(h * shrink / 512)
+    return 85 + 170 * tiles
+
+
 def completion(request: Request, index: int, text: str, *, is_refusal: bool = False) -> Reply:
     """Wrap words as a reply.
 
-    The usage is made up, after the published rules of one model: a token is 4 characters of text; a picture is 85
-    tokens, and unless its detail is low another 170 per tile of 512 px after scaling to 768 px on the shorter side.
+    The usage is made up: a token is 4 characters of text, a picture counts as `image_tokens`.
     """
     h, w = request.picture.shape[:2]
-    shrink = min(1.0, 2048 / max(h, w), 768 / min(h, w))
-    tiles = 0 if request.detail == "low" else math.ceil(w * shrink / 512) * math.ceil(h * shrink / 512)
-    prompt, reply = math.ceil(len(request.text) / 4) + 85 + 170 * tiles, math.ceil(len(text) / 4)
+    prompt = math.ceil(len(request.text) / 4) + image_tokens((w, h), request.detail)
+    reply = math.ceil(len(text) / 4)
     in_field = is_refusal and request.format == "json_schema"
     message = {
         "role": "assistant", "content": None if in_field else text, "refusal": text if in_field else None

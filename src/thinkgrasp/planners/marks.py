@@ -41,14 +41,14 @@ def draw_marks(image: NDArray[np.uint8], proposals: Sequence[Proposal], size_wh:
         (h, w, 3) RGB.
     """
     picture = resized(image, size_wh).copy()
-    masks = {p.mark: _Window.of(p.mask, size_wh) for p in proposals}
+    masks = {p.mark: _Window.of(p, size_wh) for p in proposals}
     for p in proposals:
         masks[p.mark].outline(picture, COLORS[(p.mark - 1) % len(COLORS)])
     font = _font(max(MIN_FONT_PX, round(FONT_SHARE * size_wh[0])))
     canvas = Image.fromarray(picture)
     draw = ImageDraw.Draw(canvas)
     plates: list[tuple[int, int, int, int]] = []
-    for p in sorted(proposals, key=lambda p: (int(p.mask.sum()), p.mark)):
+    for p in sorted(proposals, key=lambda p: (int(np.count_nonzero(p.mask)), p.mark)):
         left, top, right, bottom = (math.ceil(side) for side in font.getbbox(str(p.mark)))
         w, h = right - left + 2 * PADDING_PX + 2, bottom - top + 2 * PADDING_PX + 2
         x, y = masks[p.mark].place(w, h, plates)
@@ -73,15 +73,12 @@ class _Window:
         self.mask = mask
 
     @classmethod
-    def of(cls, mask: Mask, size_wh: tuple[int, int]) -> _Window:
-        """Scale a frame's mask (H, W) to the picture, with a margin of two pixels inside it."""
-        columns = np.flatnonzero(mask.any(axis=0))
-        rows = np.flatnonzero(mask.any(axis=1))
-        if not len(rows):
-            return cls(0, 0, np.zeros((1, 1), np.bool_))
-        u, x = _sampled(columns, mask.shape[1], size_wh[0])
-        v, y = _sampled(rows, mask.shape[0], size_wh[1])
-        return cls(x, y, mask[np.ix_(v, u)])
+    def of(cls, proposal: Proposal, size_wh: tuple[int, int]) -> _Window:
+        """Scale a proposal's mask to the picture, with a margin of two pixels inside it."""
+        x0, y0, x1, y1 = proposal.box_xyxy
+        u, x = _sampled(x0, x1, proposal.mask.shape[1], size_wh[0])
+        v, y = _sampled(y0, y1, proposal.mask.shape[0], size_wh[1])
+        return cls(x, y, proposal.mask[np.ix_(v, u)])
 
     def outline(self, picture: NDArray[np.uint8], color: RGB) -> None:
         """Draw a bright line along the inside of the mask's edge and a dark one along its outside, in place."""
@@ -105,11 +102,11 @@ class _Window:
         return self.x + int(column), self.y + int(row)
 
 
-def _sampled(occupied: NDArray[np.intp], frame_px: int, picture_px: int) -> tuple[NDArray[np.intp], int]:
-    """Return the frame's pixel for each of the picture's pixels around an occupied range, and the first of these."""
+def _sampled(start: int, stop: int, frame_px: int, picture_px: int) -> tuple[NDArray[np.intp], int]:
+    """Return the frame's pixel for each of the picture's pixels around a range, and the first of these."""
     scale = picture_px / frame_px
-    first = max(int(occupied[0] * scale) - 2, 0)
-    last = min(math.ceil((occupied[-1] + 1) * scale) + 2, picture_px)
+    first = max(int(start * scale) - 2, 0)
+    last = min(math.ceil(stop * scale) + 2, picture_px)
     pixels = ((np.arange(first, last) + 0.5) / scale).astype(np.intp)
     return np.minimum(pixels, frame_px - 1), first
 
