@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fakes.stages import FakeCheck, FakePlanner, fake_pipeline
@@ -10,7 +12,7 @@ from fakes.table_loop import POSE, FakeCamera, FakeRecorder, FakeRobot, FakeTabl
 from thinkgrasp.errors import ConfigError, InputError
 from thinkgrasp.loop import END_WORDS, End, run_episode
 from thinkgrasp.memory import Memory
-from thinkgrasp.types import Grasps, Plan, Scene
+from thinkgrasp.types import Grasps, Plan, Scene, Usage
 
 
 class PatientPlanner(FakePlanner):
@@ -93,6 +95,35 @@ def test_every_end_has_its_reason(instruction: str, script: list[str], options: 
     episode, _ = run(FakeTable(), instruction, script, **options)
     assert (episode.end, len(episode.steps), episode.success) == (end, steps, False)
     assert END_WORDS[end]
+
+
+class SpendingPlanner(FakePlanner):
+    """Asks a model of known price for every plan, and has money for two."""
+
+    asked = 0
+
+    def plan(self, scene: Scene, instruction: str, memory: Memory) -> Plan:
+        self.asked += 1
+        if self.asked > 2:
+            return Plan("", "the budget is spent", found=False, out_of_budget=True)
+        return replace(super().plan(scene, instruction, memory), usage=Usage("gpt-4o", 100, 10, 0.5, 1, 2.0))
+
+
+def test_a_spent_budget_ends_the_episode() -> None:
+    planner = SpendingPlanner()
+    table = FakeTable()
+    cameras = [FakeCamera(table), FakeCamera(table, POSE)]
+    robot = FakeRobot(table, ["missed"] * 9)
+    episode = run_episode(cameras, fake_pipeline(planner=planner), robot, "the red block")
+    assert (episode.end, episode.attempts, planner.asked) == ("budget_spent", 2, 3)
+    assert cameras[1].reads == 0
+    assert episode.usage == Usage("gpt-4o", 200, 20, 1.0, 2, 4.0)
+
+
+def test_decisions_that_are_not_acted_upon_cost_too() -> None:
+    planner = SpendingPlanner()
+    episode, _ = run(FakeTable(), pipeline=fake_pipeline(planner=planner, checks={"none": FakeCheck(2.0)}))
+    assert (episode.attempts, episode.usage.requests) == (0, 2)
 
 
 def test_the_second_camera_is_asked_where_the_first_shows_no_grasp() -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thinkgrasp.selection import FINGERS_M, cell_box, cell_center, preferred_point, rank_grasps
+from thinkgrasp.selection import FINGERS_M, cell_box, cell_center, middle_cell, preferred_point, rank_grasps
 from thinkgrasp.types import Grasps
 
 boxes = st.tuples(st.integers(0, 500), st.integers(0, 500), st.integers(1, 300), st.integers(1, 300)).map(
@@ -154,3 +154,10 @@ class TestRanking:
     def test_n_must_be_positive(self):
         with pytest.raises(ValueError, match="n_nearest"):
             rank_grasps(batch(np.zeros((1, 3)), np.ones(1)), np.zeros(3), 0)
+
+
+@pytest.mark.parametrize(("grid", "cell"), [(1, 1), (2, 1), (3, 5), (4, 6), (5, 13)])
+def test_the_middle_cell_is_nearest_to_the_middle(grid, cell):
+    assert middle_cell(grid) == cell
+    u, v = cell_center((0, 0, 60 * grid, 60 * grid), grid, cell)
+    assert max(abs(u - 30 * grid), abs(v - 30 * grid)) <= 31

@@ -9,7 +9,7 @@ import pytest
 from fakes.stages import FakeScene, table_frame
 
 from thinkgrasp.errors import ContractError, InputError
-from thinkgrasp.types import CameraIntrinsics, Frame, Grasp, Grasps, Obstruction, Plan, SupportPlane
+from thinkgrasp.types import CameraIntrinsics, Frame, Grasp, Grasps, Obstruction, Plan, SupportPlane, Usage
 
 GOOD = {"width": 64, "height": 48, "fx": 100.0, "fy": 100.0, "cx": 31.5, "cy": 23.5}
 
@@ -129,3 +129,12 @@ def test_frame_accepts_nan_depth():
     depth = frame.depth.copy()
     depth[:5] = np.nan
     assert isinstance(replace(frame, depth=depth), Frame)
+
+
+def test_usage_adds_up_and_unknown_costs_stay_unknown():
+    known, unknown = Usage("a", 10, 1, 0.5, 1, 2.0), Usage("b", 10, 1, None, 2, 1.0)
+    offline = Usage()
+    assert known + known == Usage("a", 20, 2, 1.0, 2, 4.0)
+    assert offline + known == known + offline == known
+    assert known + unknown == Usage("b", 20, 2, None, 3, 3.0)
+    assert offline + offline == offline

@@ -295,6 +295,17 @@ def test_wrong_cells(session):
         assert got.plan["cell"] != right["cell"]
 
 
+def test_a_pixel_where_one_is_asked_for(session, picture):
+    words = "Grasp pixel: (<x>, <y>)"
+    with VlmEmulator(session) as right, VlmEmulator(session, Quality(wrong_cell=1)) as wrong:
+        good, bad = (post(emulator, request(picture, words)).text.splitlines() for emulator in (right, wrong))
+    assert good[1:3] == bad[1:3] == ["Goal visible: yes", "Selected object: pear"]
+    u, v = map(int, re.findall(r"\d+", good[3]))
+    assert good[3] == f"Grasp pixel: ({u}, {v})"
+    assert true_labels(session.world, session.views[0])[v, u] == 0
+    assert bad[3] != good[3]
+
+
 def test_malformed_replies_are_no_plans(session):
     texts = [got.text for got in answers(session, Quality(malformed=1), 8)]
     assert len(set(texts)) > 2

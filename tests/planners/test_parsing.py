@@ -39,6 +39,9 @@ def checked(text: str, grid: int = 3, wh: tuple[int, int] = WH) -> Plan | None:
         x0, y0, x1, y1 = plan.crop_xyxy
         assert 0 <= x0 < x1 <= wh[0]
         assert 0 <= y0 < y1 <= wh[1]
+    if plan.point_px is not None:
+        assert 0 <= plan.point_px[0] < wh[0]
+        assert 0 <= plan.point_px[1] < wh[1]
     for o in plan.objects:
         assert 0 <= o.grasp_score <= 100
         assert o.cell is None or 1 <= o.cell <= grid * grid
@@ -67,6 +70,38 @@ def test_a_reply_is_read_as_it_is_meant(reply):
         assert plan.crop_xyxy == tuple(reply["box"])
     if "objects" in reply:
         assert [[o.name, o.grasp_score, o.cell or 0] for o in plan.objects] == reply["objects"]
+
+
+@pytest.mark.parametrize(
+    ("said", "point"),
+    [
+        ("Grasp pixel: (120, 85)", (120, 85)),
+        ("**Grasp Pixel:** [120.6, 85.2]", (120, 85)),
+        ("- grasping pixel = x: 120, y: 85 (on its rim)", (120, 85)),
+        ("Pixel coordinates: 120,85", (120, 85)),
+        ("Grasp pixel: (0.5, 0.25)", (112, 56)),
+        ("Grasp pixel: 50%, 25%", (112, 56)),
+        ("Grasp pixel: (224, 224)", (223, 223)),
+        ("Grasp pixel: （120，85）", (120, 85)),
+        ("Grasp pixel: (1, 1)", (1, 1)),
+        ("Grasp pixel: (120, ", None),
+        ("Grasp pixel: none", None),
+        ("", None),
+    ],
+)
+def test_a_pixel(said, point):
+    assert parse_reply(f"Goal visible: yes\nSelected object: red mug\n{said}", image_wh=WH).point_px == point
+
+
+def test_a_pixel_in_json():
+    assert parse_reply('{"target": "mug", "grasp_pixel": {"x": 3, "y": 4}}', image_wh=WH).point_px == (3, 4)
+
+
+@pytest.mark.parametrize("said", ["(1, 2, 3)", "(300, 4)", "(-5, 4)", "120"])
+def test_a_pixel_that_is_none_is_quoted(said):
+    with pytest.raises(PlanParseError, match="pixel") as error:
+        parse_reply(f"Selected object: red mug\nGrasp pixel: {said}\nDone.", image_wh=WH)
+    assert said in str(error.value)
 
 
 def test_an_error_quotes_the_place():

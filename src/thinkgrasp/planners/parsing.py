@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from thinkgrasp.planners.reply_json import read_json
-from thinkgrasp.planners.reply_text import read_labels, undecorated
+from thinkgrasp.planners.reply_text import read_labels, read_unlabelled, undecorated
 from thinkgrasp.planners.reply_values import (
     MAX_RATIONALE_CHARS,
     Entry,
@@ -43,7 +43,8 @@ _NO = re.compile(r"(?:no|not|false|hidden|0)\b", re.IGNORECASE)
 def parse_reply(text: str, *, grid: int = 3, image_wh: tuple[int, int]) -> Plan:
     """Turn a reply, in JSON or in labelled lines, into a plan.
 
-    The first JSON object that names a target counts, else the first line that does. What a cut-off reply holds in full
+    The first JSON object that names a target counts, else the first line that does, else an "[object: ...]", the only
+    object described, or the only mark spoken of. What a cut-off reply holds in full
     is used: a plan needs a target, and without a cell its middle is taken.
 
     Args:
@@ -62,6 +63,8 @@ def parse_reply(text: str, *, grid: int = 3, image_wh: tuple[int, int]) -> Plan:
     answer = _answer(text or "")
     readable = undecorated(answer)
     reply = read_json(answer) or read_json(readable) or read_labels(readable)
+    if reply is None and not _refuses(answer):
+        reply = read_unlabelled(readable)
     if reply is None:
         raise PlanParseError(_why_no_plan(text or "", answer))
     target = read_target(reply.target)
@@ -98,9 +101,13 @@ def _answer(text: str) -> str:
 def _why_no_plan(text: str, answer: str) -> str:
     if not plain(answer):
         return "the reply is empty" + (": the model was cut off while it was thinking" if plain(text) else "")
-    if _REFUSAL.search(answer.replace("’", "'")[:2000]):
+    if _refuses(answer):
         return f"the model refuses: {quote(answer)}"
     return f"the reply names no target, neither as JSON nor in a line 'Selected object: ...': {quote(answer)}"
+
+
+def _refuses(answer: str) -> bool:
+    return _REFUSAL.search(answer.replace("’", "'")[:2000]) is not None
 
 
 def _rationale(reply: Reply) -> str:

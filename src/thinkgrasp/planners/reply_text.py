@@ -35,12 +35,13 @@ _NUMBER_SEP = rf"{_NOTE}\s*(?:(?::+|=|-\s|\bof\b|\bis\b|$)\s*|(?=[(\[<]?\s*[-+~]
 _OPEN_SEP = rf"{_NOTE}\s*[\"']?\s*(?::+|=|-\s|\bof\b|\bis\b)?\s*"
 _LABELS = {
     "visible": rf"(?:(?:goal|target|object)[\s_]*)?(?:is[\s_]+)?visible{_NOTE}\s*[:=?]+\s*",
-    "target": r"(?:(?:selected|chosen|picked|final|best)(?:[\s_-]*(?:target|object|item|part))*"
+    "target": r"(?:(?:selected|chosen|picked|final|best)(?:[\s_-]*(?:target|object|item|part)s?)*"
     r"|target(?:[\s_-]*object)?|selection|object to (?:grasp|pick|take|move|remove)(?: up| first)?)"
     rf"(?:\s*(?:/|\bor\b|\band\b|&)\s*(?:target\s*)?(?:object[\s_-]*)?part)?{_SEP}",
     "header": r"objects\b[^:\n]{0,60}:",
-    "box": rf"(?:crop(?:ping|ped)?[\s_-]*(?:box|region|area)?|bounding[\s_-]*box|bbox)(?:[\s_]*coordinates?)?"
-    rf"(?:{_SEP}|\s+(?=[(\[\d]))",
+    "box": r"(?:(?:^|(?<=[;,|])|(?<=[;,|]\s))box\s*[:=]\s*"
+    r"|(?:crop(?:ping|ped)?[\s_-]*(?:box|region|area)?|bounding[\s_-]*box|bbox)(?:[\s_]*coordinates?)?"
+    rf"(?:{_SEP}|\s+(?=[(\[\d])))",
     "pixel": rf"(?:grasp(?:ing)?[\s_-]*)?pixel(?:[\s_]*(?:coordinates?|position))?(?:{_SEP}|\s+(?=[(\[\d]))",
     "score": rf"(?:(?:grasp(?:ing|ability)?|success)[\s_-]*)?score\b{_NUMBER_SEP}"
     rf"|(?:graspability|ease of grasping){_SEP}",
@@ -48,6 +49,7 @@ _LABELS = {
     r"(?:grid[\s_-]*)?(?:location|cell|position|point|region)"
     r"|grasp(?:ing)?[\s_-]*(?:location|cell|position|point|region)"
     rf"|grid[\s_-]*(?:cell|location|position))(?:[\s_]*(?:number|no\.?))?\b{_OPEN_SEP}"
+    r"|grid\s*[:=#]\s*"
     rf"|(?:cell|location)(?:[\s_]*(?:number|no\.?))?{_NOTE}\s*(?:[:=#]\s*|(?=\d))",
     "mark": r"mark(?:[\s_]*(?:number|id))?\s*[:=#]\s*",
     "role": r"role\s*[:=]\s*",
@@ -84,6 +86,27 @@ def read_labels(text: str) -> Reply | None:
     reply = _reply(fields[first], fields[:first], fields[first + 1 :])
     said_hidden = any(is_nothing(fields[i].value) for i in named if i < first)
     return replace(reply, visible="no") if said_hidden and not reply.visible else reply
+
+
+_BRACKETED = re.compile(r"\[\s*object(?:[\s_-]*part)?\s*[:=][^\]\n]+\]?", re.IGNORECASE)
+_PART_LINE = re.compile(r"^\W*(object[\s_-]*part\s*[:=]\s*\S.*)$", re.IGNORECASE | re.MULTILINE)
+_SPOKEN_MARK = re.compile(r"\bmark\s*(?:no\.?|number)?\s*[:=#]?\s*(\d{1,6})\b", re.IGNORECASE)
+
+
+def read_unlabelled(text: str) -> Reply | None:
+    """Return what an undecorated text says without a line that names its target.
+
+    That is an "[object: ...]" anywhere, a line "object part: ...", the only object described, or the only mark.
+    """
+    fields = list(_fields(text))
+    described = {f.value for f in fields if f.kind == "object" and _names_something(f.value)}
+    written = next((m[0] for pattern in (_BRACKETED, _PART_LINE) for m in pattern.finditer(text)), "")
+    target = written or (described.pop() if len(described) == 1 else "")
+    marks = set(_SPOKEN_MARK.findall(text))
+    if not target and len(marks) != 1:
+        return None
+    reply = _reply(_Field("target", target), [], fields)
+    return reply if target else replace(reply, target="", mark=marks.pop())
 
 
 def _names_something(value: str) -> bool:
@@ -212,6 +235,10 @@ def _reply(target: _Field, before: list[_Field], after: list[_Field]) -> Reply:
     collector = _Collector(_Draft(target.value))
     for f in after:
         collector.add(f)
+    if not collector.listed and not collector.own.score:
+        collector = replace(collector, heading="")
+        for f in before:
+            collector.add(f)
     first = {f.kind: f.value for f in reversed([*before, *after])}
     label = target.label.lower()
     is_part = "part" in label and not re.search(r"/|&|\b(?:or|and)\b", label)

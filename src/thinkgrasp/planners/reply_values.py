@@ -75,6 +75,7 @@ _PREFIX = re.compile(r"(?:(object[\s_-]*part\b\s*[:=]?|part\s*[:=])|(?:object|ta
 _AFTERTHOUGHT = re.compile(
     r"(?:[\s,;.]|\s-)*\b(?:because|since|as (?:it|the)|which|so that|due to)\b.*$|\.\s.*$", re.IGNORECASE | re.DOTALL
 )
+_ASIDE = re.compile(r"\s*\(\s*(?:[^\s()]+\s+){2,}[^\s()]*\s*\)?\s*$")
 _BESIDE_MARK = re.compile(r"[\s,;]*[(\[]?\s*\bmark\s*(?:no\.?|number)?\s*[:=#]?\s*(\d+)\s*[)\]]?", re.IGNORECASE)
 _ARTICLE = re.compile(r"\b(?:the|an?)\s+", re.IGNORECASE)
 
@@ -120,7 +121,7 @@ def read_target(text: str) -> Target:
     second = re.search(r"[,;(\[]\s*(?:object\s*)?part\s*[:=]", value, re.IGNORECASE)
     if second:
         value = f"{value[: second.start()]}:{value[second.end() :]}"
-    value = _AFTERTHOUGHT.sub("", value)
+    value = _ASIDE.sub("", _AFTERTHOUGHT.sub("", value))
     whole, colon, part = value.partition(":")
     if colon and len(part.split()) <= 4:
         is_part |= bool(part.strip())
@@ -203,6 +204,7 @@ def read_cell(text: str, grid: int) -> int | None:
 
 def _cell_of_row_and_column(value: str, grid: int) -> int | None:
     match = re.search(r"\brow\W{0,3}(\d{1,4}).{0,12}?\bcol(?:umn)?\W{0,3}(\d{1,4})", value)
+    match = match or re.fullmatch(r"[(\[]\s*(\d{1,4})\s*[,;]\s*(\d{1,4})\s*[)\]]\W*", value)
     if match is None:
         return None
     row, column = int(match[1]), int(match[2])
@@ -290,6 +292,11 @@ def read_pixel(text: str, image_wh: tuple[int, int]) -> tuple[int, int] | None:
 
 
 def _box_numbers(value: str) -> list[float] | None:
+    ranges = re.search(rf"\bx\W{{1,4}}({_NUMBER})\s*(?:-|to|\.\.)\s*({_NUMBER})\W+y\W{{1,4}}({_NUMBER})\s*"
+                       rf"(?:-|to|\.\.)\s*({_NUMBER})", value, re.IGNORECASE)  # fmt: skip
+    if ranges:
+        x0, x1, y0, y1 = map(float, ranges.groups())
+        return [x0, y0, x1, y1]
     if labelled := _labelled_numbers(value):
         return labelled
     if ";" in value:
