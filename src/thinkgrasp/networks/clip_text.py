@@ -10,6 +10,7 @@ References:
 from __future__ import annotations
 
 import hashlib
+import html
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -32,6 +33,10 @@ HEAD_WIDTH = 64
 TOKENIZER = "openai/clip-vit-base-patch32"
 """All CLIP models share one tokeniser; this repository holds its files."""
 TOKENIZER_REVISION = "3d74acf9a28c67741b2f4f2ea7635f0aaf6f0268"
+_GET_TOKENIZER = (
+    f"get CLIP's own by: hf download {TOKENIZER} vocab.json merges.txt tokenizer_config.json --revision "
+    f"{TOKENIZER_REVISION}"
+)
 
 _RENAMED = (
     (r"^token_embedding\.weight$", "embeddings.token_embedding.weight"),
@@ -50,7 +55,8 @@ class ClipText:
 
     Args:
         weights: By OpenAI's names, as `text_weights` returns them.
-        tokenizer: A folder with vocab.json and merges.txt, or a repository of the Hugging Face hub.
+        tokenizer: A folder with vocab.json and merges.txt, or a repository of the Hugging Face hub that has been
+            downloaded; nothing is downloaded here.
         revision: Commit of that repository.
         device: Where it runs; it runs in float32.
 
@@ -75,7 +81,9 @@ class ClipText:
         """Of the weights."""
         words, wanted = len(self._tokenizer), self._model.config.vocab_size
         if words != wanted:
-            raise ConfigError(f"{WHAT}: the tokeniser {tokenizer} has {words} tokens, the weights are for {wanted}")
+            raise ConfigError(
+                f"{WHAT}: the tokeniser {tokenizer} has {words} tokens, the weights are for {wanted}; {_GET_TOKENIZER}"
+            )
 
     @property
     def width(self) -> int:
@@ -91,7 +99,8 @@ class ClipText:
         length = self._model.config.max_position_embeddings
         ids = torch.zeros(len(sentences), length, dtype=torch.int64)
         for row, sentence in zip(ids, sentences, strict=True):
-            tokens: list[int] = self._tokenizer(sentence)["input_ids"]
+            # As OpenAI's tokeniser does, and transformers' does not.
+            tokens: list[int] = self._tokenizer(html.unescape(html.unescape(sentence)))["input_ids"]
             if len(tokens) > length:
                 raise InputError(f"{WHAT}: {sentence[:60]!r}... has {len(tokens)} tokens; at most {length} are allowed")
             row[: len(tokens)] = torch.tensor(tokens)
@@ -192,16 +201,14 @@ def _load_tokenizer(source: str | Path, revision: str) -> Any:
 
     folder = Path(source).expanduser()
     try:
-        if folder.is_dir():
-            return CLIPTokenizer.from_pretrained(folder, local_files_only=True)
-        return CLIPTokenizer.from_pretrained(str(source), revision=revision)
+        if not folder.is_dir():
+            return CLIPTokenizer.from_pretrained(str(source), revision=revision, local_files_only=True)
+        if not any((folder / name).is_file() for name in ("vocab.json", "tokenizer.json")):
+            raise OSError("the folder holds no vocab.json")
+        return CLIPTokenizer.from_pretrained(folder, local_files_only=True)
     except (OSError, ValueError, TypeError) as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigError(
-            f"{WHAT}: the tokeniser {str(source)!r} cannot be loaded ({reason}); it is a folder with vocab.json and "
-            f"merges.txt, or a hub repository: hf download {TOKENIZER} vocab.json merges.txt tokenizer_config.json "
-            f"--revision {TOKENIZER_REVISION} --local-dir clip-tokenizer"
-        ) from None
+        what = f"{WHAT}: the tokeniser {str(source)!r} cannot be loaded ({str(error).splitlines()[0]})"
+        raise ConfigError(f"{what}; {_GET_TOKENIZER}") from None
 
 
 def _digest(weights: Mapping[str, Tensor]) -> str:

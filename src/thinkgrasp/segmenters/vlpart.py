@@ -47,7 +47,7 @@ class VLPartSegmenter:
         weights: VLPart's checkpoint.
         text_weights: CLIP's RN50.pt, or another file that holds its text tower; None = the one in `weights`.
         text_table: A .npz of fixed names and their vectors, instead of a text tower.
-        tokenizer: Folder or hub repository of CLIP's tokeniser.
+        tokenizer: Folder of CLIP's tokeniser, or its repository on the hub, already downloaded; None = OpenAI's.
         tokenizer_revision: Commit of that repository; None = the one this was checked with.
         cache_folder: Where vectors of names are kept; None = nowhere.
         variant: "paper" or "upstream": which boxes are kept, and how they are scored. Their scores are not comparable.
