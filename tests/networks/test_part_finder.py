@@ -53,7 +53,11 @@ def test_the_image_is_looked_at_once(files, monkeypatch):
     changed = RGB.copy()
     changed[0, 0] ^= 255
     parts.find(changed, ["mug"])
+    parts.find(RGB, ["mug"])
     assert len(looked) == 2
+    parts.find(RGB[:50], ["mug"])
+    parts.find(changed, ["mug"])
+    assert len(looked) == 4
 
 
 def test_every_source_of_text_gives_the_same(files, tmp_path):
@@ -113,8 +117,8 @@ def test_text_that_is_missing_or_does_not_fit(files, tmp_path):
         PartFinder(tmp_path / "bare.pth", TextSource(tokenizer=tokenizer), config=TINY, device="cpu")
     wide = tower_weights(save_tokenizer(tmp_path / "t"), out=48)
     torch.save(wide, tmp_path / "wide.pt")
+    source = TextSource(weights=tmp_path / "wide.pt", tokenizer=tokenizer)
     with pytest.raises(ConfigError, match="have 48 numbers; the detector compares 24"):
-        source = TextSource(weights=tmp_path / "wide.pt", tokenizer=tokenizer)
         PartFinder(weights, source, config=TINY, device="cpu")
     np.savez(tmp_path / "t.npz", names=np.array(["mug"]), features=np.ones((1, 5)))
     with pytest.raises(ConfigError, match="have 5 numbers"):

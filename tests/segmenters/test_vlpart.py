@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -124,12 +126,12 @@ def test_notes_of_the_text_are_passed_on(files):
 class Sam:
     """Fills each box, but for those wider than 100 px."""
 
-    def masks(self, color, boxes_xyxy):
-        masks = np.zeros((len(boxes_xyxy), *color.shape[:2]), np.bool_)
-        for mask, (x0, y0, x1, y1) in zip(masks, boxes_xyxy.astype(int), strict=True):
+    def masks(self, image, boxes):
+        masks = np.zeros((len(boxes), *image.shape[:2]), np.bool_)
+        for mask, (x0, y0, x1, y1) in zip(masks, boxes.astype(int), strict=True):
             if x1 - x0 <= 100:
                 mask[y0:y1, x0:x1] = True
-        return masks
+        return SimpleNamespace(masks=masks)
 
 
 def test_a_model_makes_the_masks_and_nothing_is_degraded(files):

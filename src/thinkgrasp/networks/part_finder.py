@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,8 @@ RN50_URL = (
     "afeb0e10f9e5a86da6080e35cf09123aca3b358a0c3e3b6c78a7b63bc04b6762/RN50.pt"
 )
 DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
+KEPT_IMAGES = 2
+"""What these last images hold is remembered: a frame, and a crop of it."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,7 @@ class PartFinder:
         own_text = text.weights is None and text.table is None
         self.unused = tuple(name for name in unused if not (own_text and name.startswith(PREFIX)))
         """Names in the checkpoint that serve nothing here."""
-        self._seen: tuple[bytes, Regions] | None = None
+        self._seen: OrderedDict[tuple[bytes, tuple[int, ...]], Regions] = OrderedDict()
 
     def find(self, color: NDArray[np.uint8], names: Sequence[str]) -> PartBoxes:
         """Return the boxes of an image (H, W, 3) RGB that answer to names; empty without names.
@@ -149,12 +152,14 @@ class PartFinder:
         return self._text.notes()
 
     def _regions(self, color: NDArray[np.uint8]) -> Regions:
-        digest = hashlib.blake2b(repr((color.shape, color.dtype)).encode())
-        digest.update(np.ascontiguousarray(color).data)
-        key = digest.digest()
-        if self._seen is None or self._seen[0] != key:
-            self._seen = (key, self.model.regions(color))
-        return self._seen[1]
+        key = (hashlib.blake2b(np.ascontiguousarray(color).data, digest_size=16).digest(), color.shape)
+        if key in self._seen:
+            self._seen.move_to_end(key)
+            return self._seen[key]
+        self._seen[key] = regions = self.model.regions(color)
+        if len(self._seen) > KEPT_IMAGES:
+            self._seen.popitem(last=False)
+        return regions
 
 
 def _check_width(got: int, wanted: int, source: str) -> None:

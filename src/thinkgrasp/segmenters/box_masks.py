@@ -13,19 +13,28 @@ from thinkgrasp.types import Mask, Proposal, Scene
 
 MIN_SHARE = 0.1
 """A proposal that fills less of a box than this is not what the box shows."""
-DEPTH_BAND_M = 0.03
+DEPTH_BAND_M = 0.05
 """Without proposals and region: what lies this near in depth to the box's middle belongs together."""
 
 
-class BoxSegmenter(Protocol):
+class MaskBatch(Protocol):
+    """What a model answers; it may hold more."""
+
+    @property
+    def masks(self) -> NDArray[np.bool_]:
+        """(N, H, W)."""
+        ...
+
+
+class MaskModel(Protocol):
     """A model that turns boxes into masks, such as SAM."""
 
-    def masks(self, color: NDArray[np.uint8], boxes_xyxy: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Return one mask per box, (N, H, W).
+    def masks(self, image: NDArray[np.uint8], boxes: NDArray[np.float32]) -> MaskBatch:
+        """Return one mask per box.
 
         Args:
-            color: (H, W, 3) RGB.
-            boxes_xyxy: (N, 4) [px], inside the image.
+            image: (H, W, 3) RGB.
+            boxes: (N, 4) x0, y0, x1, y1 [px], inside the image.
         """
         ...
 
@@ -38,17 +47,17 @@ class BoxMask(NamedTuple):
     fallback: str | None
 
 
-def model_masks(model: BoxSegmenter, scene: Scene, boxes_xyxy: NDArray[np.float32], fill_px: int) -> list[BoxMask]:
+def model_masks(model: MaskModel, scene: Scene, boxes_xyxy: NDArray[np.float32], fill_px: int) -> list[BoxMask]:
     """Return the model's masks, holes smaller than `fill_px` filled.
 
     Raises:
         ContractError: The model returned something else than (N, H, W) bool.
     """
-    masks = model.masks(scene.frame.color, boxes_xyxy)
+    masks: object = getattr(model.masks(scene.frame.color, boxes_xyxy), "masks", None)
     wanted = (len(boxes_xyxy), *scene.frame.depth.shape)
     if not isinstance(masks, np.ndarray) or masks.shape != wanted or masks.dtype != np.bool_:
         got = f"{masks.shape} {masks.dtype}" if isinstance(masks, np.ndarray) else type(masks).__name__
-        raise ContractError(f"{type(model).__name__}.masks must return {wanted} bool, got {got}")
+        raise ContractError(f"{type(model).__name__}.masks must return masks {wanted} bool, got {got}")
     filled = [fill_holes(mask, fill_px) for mask in masks]
     return [BoxMask(mask, _mark(mask, scene.proposals), None) for mask in filled]
 

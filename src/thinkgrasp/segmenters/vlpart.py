@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thinkgrasp.errors import ConfigError, InputError, MissingDependency
-from thinkgrasp.segmenters.box_masks import BoxMask, BoxSegmenter, model_masks, scene_mask
+from thinkgrasp.segmenters.box_masks import BoxMask, MaskModel, model_masks, scene_mask
 from thinkgrasp.types import Degradation, Mask, Plan, PlanKind, Proposal, Scene, Segment, Segmentation
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class VLPartSegmenter:
         max_segments: int = 10,
         device: str | None = None,
         dtype: str = "float32",
-        masker: BoxSegmenter | None = None,
+        masker: MaskModel | None = None,
         config: VLPartConfig | None = None,
     ) -> None:
         if weights is None:
