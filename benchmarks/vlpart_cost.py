@@ -16,6 +16,7 @@ import resource
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,8 @@ from thinkgrasp.networks.vlpart import VLPart, VLPartConfig
 
 NAMES = ("mug:handle", "scissors:blade", "bottle:cap", "knife:handle")
 TOWER = {"width": 512, "layers": 12, "vocabulary": 49408, "out": 1024}
+
+COLUMNS = ("load s", "first s", "image s", "(best)", "2nd name", "4 names", "peak GiB", "GPU GiB")
 
 
 def random_weights(shapes: dict[str, torch.Size]) -> dict[str, torch.Tensor]:
@@ -65,10 +68,10 @@ def tower_shapes() -> dict[str, torch.Size]:
     return {f"text_encoder.{name}": torch.Size(shape) for name, shape in shapes.items()}
 
 
-def write_files(folder: Path) -> None:
+def write_files(folder: Path, config: VLPartConfig) -> None:
     """Write a checkpoint without and with a text tower, a table of NAMES, and a tokeniser of single letters."""
     with torch.device("meta"):
-        shapes = {name: value.shape for name, value in VLPart(VLPartConfig()).state_dict().items()}
+        shapes = {name: value.shape for name, value in VLPart(config).state_dict().items()}
     weights = random_weights(shapes)
     torch.save({"model": weights}, folder / "table.pth")
     torch.save({"model": weights | random_weights(tower_shapes())}, folder / "tower.pth")
@@ -90,14 +93,29 @@ def seconds(call: Callable[[], object], device: str) -> float:
     return time.perf_counter() - start
 
 
-def measure(folder: Path, text: str, width: int, height: int, images: int, threads: int, device: str, dtype: str):
-    """Return the times [s], the peak memory [GiB] on the CPU and on the device, and the number of regions."""
-    torch.set_num_threads(threads)
+@dataclass(frozen=True)
+class Setting:
+    """What is measured."""
+
+    threads: int = 2
+    width: int = 640
+    height: int = 480
+    images: int = 3
+    """After the first."""
+    device: str = "cpu"
+    dtype: str = "float32"
+
+
+def measure(folder: Path, text: str, setting: Setting, config: VLPartConfig) -> list[float]:
+    """Return the columns: times [s], peak memory [GiB] of the process and on the device."""
+    torch.set_num_threads(setting.threads)
+    device = setting.device
     rng = np.random.default_rng(0)
-    frames = [rng.integers(0, 256, (height, width, 3), dtype=np.uint8) for _ in range(images + 1)]
+    size = (setting.height, setting.width, 3)
+    frames = [rng.integers(0, 256, size, dtype=np.uint8) for _ in range(setting.images + 1)]
     source = TextSource(table=folder / "table.npz") if text == "table" else TextSource(tokenizer=folder)
     start = time.perf_counter()
-    finder = PartFinder(folder / f"{text}.pth", source, device=device, dtype=dtype)
+    finder = PartFinder(folder / f"{text}.pth", source, config=config, device=device, dtype=setting.dtype)
     load = time.perf_counter() - start
     cold, *further = [seconds(lambda f=frame: finder.find(f, NAMES[:1]), device) for frame in frames]
     phrase = seconds(lambda: finder.find(frames[-1], NAMES[1:2]), device)
@@ -108,22 +126,20 @@ def measure(folder: Path, text: str, width: int, height: int, images: int, threa
     return [load, cold, float(np.median(further)), float(min(further)), phrase, names, peak, on_device]
 
 
-def main(
-    threads: int = 2, width: int = 640, height: int = 480, images: int = 3, device: str = "cpu", dtype: str = "float32"
-) -> None:
+def main(setting: Setting) -> None:
     """Print the table."""
-    columns = ("load s", "first s", "image s", "(best)", "2nd name", "4 names", "peak GiB", "GPU GiB")
-    print(f"{width}x{height} {dtype} {device}, {threads} threads")
-    print(f"{'text':6s} " + " ".join(f"{c:>9s}" for c in columns))
+    print(f"{setting.width}x{setting.height} {setting.dtype} {setting.device}, {setting.threads} threads")
+    print(f"{'text':6s} " + " ".join(f"{c:>9s}" for c in COLUMNS))
     context = multiprocessing.get_context("spawn")
+    config = VLPartConfig()
     with tempfile.TemporaryDirectory() as scratch:
         with context.Pool(1) as pool:
-            pool.apply(write_files, (Path(scratch),))
+            pool.apply(write_files, (Path(scratch), config))
         for text in ("table", "tower"):
             with context.Pool(1) as pool:
-                row = pool.apply(measure, (Path(scratch), text, width, height, images, threads, device, dtype))
+                row = pool.apply(measure, (Path(scratch), text, setting, config))
             print(f"{text:6s} " + " ".join(f"{v:9.3f}" for v in row), flush=True)
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    main(tyro.cli(Setting))

@@ -34,10 +34,15 @@ RGB = np.random.default_rng(0).integers(0, 256, (60, 80, 3), dtype=np.uint8)
 def run(prefix: str):
     """The call that docs/vlpart.md gives for any golden set."""
     golden("golden_vlpart")
-    code = next(c for c in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL) if "def run_golden" in c)
+    return on_the_page("run_golden")(SHARED / "golden_vlpart.npz", prefix)
+
+
+def on_the_page(function: str):
+    """Return a function that docs/vlpart.md defines."""
+    code = next(c for c in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL) if f"def {function}(" in c)
     names: dict[str, object] = {}
     exec(compile(code, str(PAGE), "exec"), names)
-    return names["run_golden"](SHARED / "golden_vlpart.npz", prefix)  # type: ignore[operator]
+    return names[function]
 
 
 def t(g, key: str) -> torch.Tensor:
@@ -367,6 +372,21 @@ def test_any_image_gives_boxes_inside_it_and_the_same_ones_twice(size, variant):
     assert ((found.scores > 0) & (found.scores < 1)).all()
     assert (found.scores.diff() <= 0).all()
     assert set(found.classes.tolist()) <= {0, 1, 2}
+
+
+def test_the_pages_short_call():
+    features = torch.randn(2, TINY.text_width, generator=torch.Generator().manual_seed(5))
+    found = on_the_page("detect")(tiny_weights(), features, RGB, TINY)
+    assert len(found.boxes) == len(found.scores) == len(found.classes) > 0
+
+
+def test_a_network_that_answers_nothing_finite_finds_nothing():
+    weights = tiny_weights()
+    weights["proposal_generator.rpn_head.conv.bias"][:] = float("nan")
+    model = vp.load_vlpart(weights, TINY)[0]
+    found = model.detect(model.regions(RGB), texts())
+    assert found.boxes.shape == (0, 4)
+    assert len(found.scores) == 0
 
 
 def test_scores_of_a_name_do_not_depend_on_the_other_names_or_on_the_background():

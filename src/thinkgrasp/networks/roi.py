@@ -43,7 +43,7 @@ def pool(maps: Sequence[Tensor], boxes: Tensor, levels: Tensor, *, first: int, s
     for level, features in enumerate(maps, start=first):
         rows = (levels == level).nonzero()[:, 0]
         _pool_into(pooled, rows, features, boxes[rows], 1.0 / 2**level, size, None)
-    return pooled.transpose(1, 2).reshape(len(boxes), -1, size, size)
+    return pooled.transpose(1, 2).unflatten(2, (size, size)).contiguous()
 
 
 def roi_align(features: Tensor, boxes: Tensor, *, scale: float, size: int, sampling_ratio: int | None = None) -> Tensor:
@@ -58,7 +58,7 @@ def roi_align(features: Tensor, boxes: Tensor, *, scale: float, size: int, sampl
     """
     pooled = features.new_zeros(len(boxes), size * size, features.shape[1])
     _pool_into(pooled, torch.arange(len(boxes), device=boxes.device), features, boxes, scale, size, sampling_ratio)
-    return pooled.transpose(1, 2).reshape(len(boxes), -1, size, size)
+    return pooled.transpose(1, 2).unflatten(2, (size, size)).contiguous()
 
 
 def _pool_into(
