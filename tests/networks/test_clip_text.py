@@ -44,6 +44,18 @@ def test_real_token_ids_are_the_originals():
     np.testing.assert_array_equal(tower.token_ids(json.loads(str(g["tok/texts_json"]))), g["tok/ids"])
 
 
+def test_the_real_tower_meets_upstreams_vectors():
+    """With RN50.pt in THINKGRASP_CLIP_RN50 too; upstream's were made in half precision."""
+    folder, weights = os.environ.get("THINKGRASP_CLIP_TOKENIZER"), os.environ.get("THINKGRASP_CLIP_RN50")
+    if not folder or not weights:
+        pytest.skip("THINKGRASP_CLIP_TOKENIZER and THINKGRASP_CLIP_RN50 do not name CLIP's tokeniser and RN50.pt")
+    g = golden("golden_text")
+    tower = ClipText(text_weights(weights), tokenizer=folder)
+    features = tower.encode(tower.token_ids(json.loads(str(g["rn50/sentences_json"]))))
+    wanted = torch.from_numpy(g["rn50/features"]).float()
+    assert torch.cosine_similarity(features, wanted).min() > 0.9995
+
+
 def test_sizes_come_from_the_weights(tokenizer):
     folder, count = tokenizer
     tower = ClipText(tower_weights(count, width=128, out=40, layers=3), tokenizer=folder)
