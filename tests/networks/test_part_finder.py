@@ -36,6 +36,13 @@ def test_boxes_come_best_first_with_their_names(files):
     assert (found.boxes_xyxy <= [80, 60, 80, 60]).all()
 
 
+def test_names_in_one_text_are_split_at_full_stops(files):
+    parts = finder(files)
+    listed, text = parts.find(RGB, ["mug:handle", "knife"]), parts.find(RGB, "mug:handle.knife.")
+    assert listed.names == text.names
+    np.testing.assert_array_equal(listed.boxes_xyxy, text.boxes_xyxy)
+
+
 def test_without_names_nothing_is_found(files):
     assert len(finder(files).find(RGB, []).boxes_xyxy) == 0
 

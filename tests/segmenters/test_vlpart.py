@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,7 @@ pytest.importorskip("transformers", reason="needs thinkgrasp[langsam]")
 
 from fakes.vlpart import TINY, save_checkpoint
 
-from thinkgrasp.errors import ConfigError, ContractError, InputError
+from thinkgrasp.errors import ConfigError, ContractError, InputError, MissingDependency
 from thinkgrasp.interfaces import Segmenter
 from thinkgrasp.networks.part_finder import PartBoxes
 from thinkgrasp.segmenters.vlpart import VLPartSegmenter, part_name
@@ -202,6 +203,19 @@ def test_a_whole_objects_of_stays():
 def test_bad_settings_are_one_clear_error(files, settings, message):
     with pytest.raises(ConfigError, match=message):
         make(files, **settings)
+
+
+def test_without_torch_the_install_line_is_said(files, monkeypatch):
+    monkeypatch.delitem(sys.modules, "thinkgrasp.networks.part_finder")
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingDependency, match=r"the vlpart segmenter needs .*'torch'.*thinkgrasp\[langsam\]"):
+        make(files)
+
+
+def test_without_transformers_the_install_line_is_said(files, monkeypatch):
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    with pytest.raises(MissingDependency, match=r"'transformers'.*thinkgrasp\[langsam\]"):
+        make(files)
 
 
 @pytest.mark.parametrize("content", [b"", b"<html>not found</html>", b"PK\x03\x04 broken"])

@@ -16,7 +16,7 @@ from torch import Tensor
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.networks.checkpoint import choose_device, read_checkpoint
 from thinkgrasp.networks.clip_text import PREFIX, TOKENIZER, TOKENIZER_REVISION, ClipText, text_weights, tower_in
-from thinkgrasp.networks.part_text import BACKGROUND, EncodedText, PartText, TextTable, sentence
+from thinkgrasp.networks.part_text import BACKGROUND, EncodedText, PartText, TextTable, sentence, split_vocabulary
 from thinkgrasp.networks.vlpart import WHAT, Regions, Variant, VLPart, VLPartConfig, load_vlpart, text_matrix
 
 RN50_URL = (
@@ -134,11 +134,16 @@ class PartFinder:
         self._seen: OrderedDict[tuple[bytes, tuple[int, ...]], Regions] = OrderedDict()
 
     def find(self, color: NDArray[np.uint8], names: Sequence[str]) -> PartBoxes:
-        """Return the boxes of an image (H, W, 3) RGB that answer to names; empty without names.
+        """Return the boxes of an image that answer to names; empty without names.
+
+        Args:
+            color: (H, W, 3) RGB.
+            names: "mug:handle", "mug", ...; or a vocabulary in one text, as `split_vocabulary` takes it.
 
         Raises:
             InputError: The image is none, or a name has no vector.
         """
+        names = split_vocabulary(names) if isinstance(names, str) else names
         if not names:
             return PartBoxes((), np.zeros((0, 4), np.float32), np.zeros(0, np.float32))
         features = self._text.features([*(sentence(name) for name in names), BACKGROUND])

@@ -25,9 +25,8 @@ if TYPE_CHECKING:
     from thinkgrasp.networks.part_finder import PartFinder
     from thinkgrasp.networks.vlpart import VLPartConfig
 
-PAPER_THRESHOLD = 0.7
-"""The paper's. Good parts are reported at 0.3 to 0.6, so that the default is lower."""
 THRESHOLD = 0.3
+"""The paper takes 0.7; good parts are reported at 0.3 to 0.6."""
 FILL_PX = 400
 """Holes of a model's mask that are smaller than this are filled, as in the paper."""
 CACHE = "~/.cache/thinkgrasp/vlpart"
@@ -48,7 +47,7 @@ class VLPartSegmenter:
         text_weights: CLIP's RN50.pt, or another file that holds its text tower; None = the one in `weights`.
         text_table: A .npz of fixed names and their vectors, instead of a text tower.
         tokenizer: Folder of CLIP's tokeniser, or its repository on the hub, already downloaded; None = OpenAI's.
-        tokenizer_revision: Commit of that repository; None = the one this was checked with.
+        tokenizer_revision: Commit of that repository; None = the pinned one.
         cache_folder: Where vectors of names are kept; None = nowhere.
         variant: "paper" or "upstream": which boxes are kept, and how they are scored. Their scores are not comparable.
         threshold: A box must score at least this.
@@ -93,7 +92,9 @@ class VLPartSegmenter:
         try:
             from thinkgrasp.networks.part_finder import PartFinder, TextSource
         except ModuleNotFoundError as error:
-            raise MissingDependency(str(error.name), "langsam", "the vlpart segmenter") from None
+            if error.name != "torch":
+                raise
+            raise MissingDependency("torch", "langsam", "the vlpart segmenter") from None
         defaults = TextSource()
         text = TextSource(
             weights=text_weights,
