@@ -357,7 +357,7 @@ def test_channels_are_red_green_blue_and_the_padding_is_zero_after_normalising()
     assert not image.pixels[0, :, :, 70:].any()
 
 
-@pytest.mark.parametrize("size", [(224, 224), (480, 640), (720, 1280)])
+@pytest.mark.parametrize("size", [(224, 224), (480, 640), (720, 1280), (400, 90)])
 @pytest.mark.parametrize("variant", ["paper", "upstream"])
 def test_any_image_gives_boxes_inside_it_and_the_same_ones_twice(size, variant):
     rgb = np.random.default_rng(1).integers(0, 256, (*size, 3), dtype=np.uint8)
