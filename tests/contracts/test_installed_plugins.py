@@ -27,9 +27,11 @@ def registered(kind: registry.Kind) -> list[str]:
 
 
 ASKS_A_SERVER = ("planner", "openai")
+VLPART = ("segmenter", "vlpart")
+SPECIAL = {ASKS_A_SERVER, VLPART}
 
 
-@pytest.mark.parametrize(("kind", "name"), [(k, n) for k in STAGES for n in registered(k) if (k, n) != ASKS_A_SERVER])
+@pytest.mark.parametrize(("kind", "name"), [(k, n) for k in STAGES for n in registered(k) if (k, n) not in SPECIAL])
 def test_stage_keeps_its_contract(kind, name):
     STAGES[kind](registry.load(kind, name))
 
@@ -39,6 +41,15 @@ def test_planner_without_its_server_keeps_its_contract():
     planner = registry.load(*ASKS_A_SERVER, base_url=dead_url(), retries=0)
     testing.check_planner(planner, deterministic=False)
     planner.close()
+
+
+def test_segmenter_of_parts_with_random_weights_keeps_its_contract(tmp_path):
+    pytest.importorskip("transformers", reason="needs thinkgrasp[langsam]")
+    from fakes.vlpart import TINY, save_checkpoint
+
+    weights, tokenizer = save_checkpoint(tmp_path)
+    settings = {"weights": weights, "tokenizer": tokenizer, "config": TINY, "cache_folder": tmp_path / "cache"}
+    testing.check_segmenter(registry.load(*VLPART, **settings, device="cpu"))
 
 
 def test_file_camera_keeps_its_contract(tmp_path):

@@ -52,7 +52,12 @@ def read_checkpoint(path: str | Path, *, what: str) -> dict[str, Tensor]:
 
 
 def load_strictly(
-    module: nn.Module, weights: Mapping[str, Tensor], *, what: str, optional: Collection[str] = ()
+    module: nn.Module,
+    weights: Mapping[str, Tensor],
+    *,
+    what: str,
+    optional: Collection[str] = (),
+    assign: bool = False,
 ) -> tuple[str, ...]:
     """Copy weights into a module, float tensors in the module's own dtype.
 
@@ -61,6 +66,8 @@ def load_strictly(
         weights: By name.
         what: What the module is, as errors call it.
         optional: Names in the module that a file may lack.
+        assign: Take the tensors themselves, in their own dtype, instead of copying them; for a module on the meta
+            device, so that nothing is held twice.
 
     Returns:
         The names in `weights` that the module has no place for.
@@ -81,7 +88,8 @@ def load_strictly(
         parts += [f"{len(misshapen)} have another shape ({_some(misshapen)})"] if misshapen else []
         parts += [f"{len(unused)} are unknown ({_some(unused)})"] if unused else []
         raise ConfigError(f"{what}: these are weights of another model: {'; '.join(parts)}")
-    module.load_state_dict({name: weights[name] for name in own if name in weights}, strict=not optional)
+    own_weights = {name: weights[name] for name in own if name in weights}
+    module.load_state_dict(own_weights, strict=not optional, assign=assign)
     return unused
 
 
