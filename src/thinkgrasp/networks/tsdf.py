@@ -76,7 +76,9 @@ def fuse(
     for image, camera, T in zip(depth, views, T_camera_task, strict=True):
         if image.shape != (camera.height, camera.width):
             raise InputError(f"depth is {image.shape[::-1]} but the camera is {camera.width}x{camera.height}")
-        distance = _signed_distance(image.astype(np.float32), camera, T.astype(np.float32), voxel, resolution, max_depth_m)
+        distance = _signed_distance(
+            image.astype(np.float32), camera, T.astype(np.float32), voxel, resolution, max_depth_m
+        )
         seen = distance > -truncation
         inverse = np.float32(1) / truncation
         t = np.minimum(np.float32(1), distance[seen] * inverse)
