@@ -75,12 +75,12 @@ def test_failures_are_told_apart_by_the_truth(bench) -> None:
 def test_a_torn_line_is_cut_off_and_the_file_goes_on(bench, tmp_path: Path) -> None:
     records = bench("episode_records")
     path = tmp_path / "episodes.jsonl"
-    log = records.RecordLog(path)
+    log = records.RecordLog(path, records.EpisodeRecord)
     log.add(episode(records))
     log.add(episode(records, seed=1))
     whole = path.read_bytes()
     path.write_bytes(whole[:-20])
-    again = records.RecordLog(path)
+    again = records.RecordLog(path, records.EpisodeRecord)
     assert again.records == [episode(records)]
     again.add(episode(records, seed=1))
     assert path.read_bytes() == whole
@@ -97,7 +97,8 @@ def test_episodes_are_recorded_reported_and_not_run_twice(
         return capsys.readouterr().out
 
     first = run()
-    records = bench("episode_records").RecordLog(out).records
+    episode_records = bench("episode_records")
+    records = episode_records.RecordLog(out, episode_records.EpisodeRecord).records
     assert {(r.task, r.preset) for r in records} == {("clutter-09-pear", "oracle"), ("clutter-09-pear", "offline")}
     for r in records:
         assert not r.error
