@@ -191,7 +191,8 @@ def _try(job: Job) -> Trial:
 def _trial(job: Job, target: SimObject | None, reason: str, detail: str) -> Trial:
     name, category, kind = ("", "", "") if target is None else (target.name, target.category, build(target))
     return Trial(
-        SCHEMA, job.suite, job.scene, job.seed, job.method, name, category, kind, reason, detail, 0, 0, 0.0, 0.0, 0.0, 0.0
+        SCHEMA, job.suite, job.scene, job.seed, job.method, name, category, kind, reason, detail,
+        0, 0, 0.0, 0.0, 0.0, 0.0,
     )  # fmt: skip
 
 
@@ -218,7 +219,8 @@ def report(trials: Sequence[Trial]) -> str:
 
 def _totals(by_method: dict[str, list[Trial]]) -> list[str]:
     lines = [
-        "| method | held of all scenes | no grasp | failures | candidates, kept (median) | generate, check, decision (median ms) |",
+        "| method | held of all scenes | no grasp | failures | candidates, kept (median) "
+        "| generate, check, decision (median ms) |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for method, trials in by_method.items():

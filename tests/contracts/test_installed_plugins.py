@@ -7,6 +7,7 @@ from importlib.metadata import EntryPoint
 
 import pytest
 from fakes.chat_server import dead_url
+from fakes.networks import untrained_vgn
 
 from thinkgrasp import registry, testing
 from thinkgrasp.cameras.saving import save_frame
@@ -29,7 +30,11 @@ def registered(kind: registry.Kind) -> list[str]:
 ASKS_A_SERVER = ("planner", "openai")
 
 
-@pytest.mark.parametrize(("kind", "name"), [(k, n) for k in STAGES for n in registered(k) if (k, n) != ASKS_A_SERVER])
+NEEDS_VGN = (("generator", "vgn"), ("generator", "vgn_antipodal"))
+SPECIAL = {ASKS_A_SERVER, *NEEDS_VGN}
+
+
+@pytest.mark.parametrize(("kind", "name"), [(k, n) for k in STAGES for n in registered(k) if (k, n) not in SPECIAL])
 def test_stage_keeps_its_contract(kind, name):
     STAGES[kind](registry.load(kind, name))
 
@@ -39,6 +44,16 @@ def test_planner_without_its_server_keeps_its_contract():
     planner = registry.load(*ASKS_A_SERVER, base_url=dead_url(), retries=0)
     testing.check_planner(planner, deterministic=False)
     planner.close()
+
+
+@pytest.mark.parametrize("point", NEEDS_VGN, ids=lambda p: p[1])
+def test_generator_with_an_untrained_network_keeps_its_contract(point, tmp_path):
+    pytest.importorskip("torch", reason="needs thinkgrasp[graspnet]")
+    settings = {"threshold": 0.3, "variant": "devel"}  # an untrained network calls everything 0.5
+    generator = registry.load(
+        *point, weights=untrained_vgn(tmp_path), **(settings if point[1] == "vgn" else {"vgn": settings})
+    )  # fmt: skip
+    testing.check_generator(generator)
 
 
 def test_file_camera_keeps_its_contract(tmp_path):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,8 @@ except ModuleNotFoundError as error:
 _SPAN = (0.3, 1.0)
 """Part of the hand's depth in which its target lies: the contacts are there, from the palm."""
 _ON_TARGET_M = 0.012
+_WIDER_M = np.float32(0.016)
+_LOWEST_TIP_M = 0.0035
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,15 +91,15 @@ class VgnGenerator:
         self,
         *,
         weights: str | Path | None = None,
-        threshold: float = 0.9,
-        variant: str = "corl2020",
+        threshold: float = 0.3,
+        variant: vgn.Variant = "corl2020",
         only_maxima: bool = False,
         centring: bool = True,
         scale: float | None = None,
-        n_yaws: int = 1,
+        n_yaws: int = 3,
         fit: bool = True,
         max_cubes: int = 16,
-        max_grasps: int = 300,
+        max_grasps: int = 600,
         clearance_m: float = 0.007,
         min_clearance_m: float = 0.004,
         body_margin_m: float = 0.0035,
@@ -109,6 +112,23 @@ class VgnGenerator:
                 "package; its authors (ETH Zurich, ASL) published them under BSD 3-Clause at "
                 "https://github.com/ethz-asl/vgn, see docs/vgn.md"
             )
+        if variant not in get_args(vgn.Variant):
+            allowed = ", ".join(get_args(vgn.Variant))
+            raise ConfigError(f"VGN generator: no variant {variant!r}; allowed are {allowed}")
+        if not 0 < threshold < 1:
+            raise ConfigError(f"VGN generator: threshold must lie in (0, 1), got {threshold}")
+        if scale is not None and not 0 < scale < 10:
+            raise ConfigError(f"VGN generator: scale must lie in (0, 10), or be None, got {scale}")
+        for name, value in (("n_yaws", n_yaws), ("max_cubes", max_cubes), ("max_grasps", max_grasps)):
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise ConfigError(f"VGN generator: {name} must be a whole number of at least 1, got {value!r}")
+        if not 0 < min_clearance_m <= clearance_m:
+            raise ConfigError(
+                f"VGN generator: need 0 < min_clearance_m <= clearance_m, got {min_clearance_m}, {clearance_m}"
+            )
+        for name, value in (("body_margin_m", body_margin_m), ("tip_height_m", tip_height_m)):
+            if not (np.isfinite(value) and value >= 0):
+                raise ConfigError(f"VGN generator: {name} must be at least 0, got {value}")
         self.network = vgn.load_vgn(weights, choose_device(device, what="VGN"))
         self.threshold = threshold
         self.variant: vgn.Variant = variant
@@ -210,8 +230,8 @@ class VgnGenerator:
         reach = reach_past(hands.rotations, tips, width, gripper, upright, nothing, self.placement)
         back = np.minimum(reach, 0)
         good = back > -depth
-        positions = tips + np.where(good, back, 0)[:, None] * hands.rotations[:, :, 2]
-        return Grasps(hands.rotations, positions.astype(np.float32), width, hands.scores)[good]
+        positions = tips + np.where(good, back, np.float32(0))[:, None] * hands.rotations[:, :, 2]
+        return Grasps(hands.rotations, positions, width, hands.scores)[good]
 
     def _fitted(
         self, scene: Scene, mask: Mask, crop: Mask, hands: _Hands, depth: np.float32, gripper: Gripper
@@ -220,35 +240,34 @@ class VgnGenerator:
         surface = Completed.of(scene, mask, crop, max_points=700, voxel_m=0.003)
         if surface is None:
             return Grasps.empty()
-        widest = _widest(gripper)
+        widest, settings = _widest(gripper), self._placement_for(surface)
         low, high, top = _between(hands, surface.whole.points, depth, gripper)
-        some = np.isfinite(low)
+        some = high >= low
         hands, low, high, top = hands[some], low[some], high[some], top[some]
-        distance = high - low
-        width = np.clip(distance + 2 * np.float32(self.placement.clearance_m), gripper.min_width_m, widest)
-        fits = width >= distance + 2 * self.placement.min_clearance_m
-        hands, low, high, top, width = hands[fits], low[fits], high[fits], top[fits], width[fits]
+        width = np.clip(high - low + 2 * np.float32(settings.clearance_m), gripper.min_width_m, widest)
+        fits = width >= high - low + 2 * np.float32(settings.min_clearance_m)
+        hands, width, top, middle = hands[fits], width[fits], top[fits], ((low + high) / 2)[fits]
         if len(hands) == 0:
             return Grasps.empty()
         closing, approach = hands.rotations[:, :, 0], hands.rotations[:, :, 2]
-        tips = hands.palms + depth * approach + ((low + high) / 2)[:, None] * closing
+        tips = hands.palms + depth * approach + middle[:, None] * closing
         obstacles = surface.obstacles(scene, mask, gripper)
-        settings = self.placement
+
         reach = reach_past(hands.rotations, tips, width, gripper, surface.upright, obstacles, settings)
         least = top + np.float32(settings.min_engagement_m) - depth
-        tight = np.flatnonzero(reach < np.maximum(least, 0))
-        if len(tight):
-            wide = np.minimum(width[tight] + np.float32(0.016), widest)
-            wider = reach_past(
-                hands.rotations[tight], tips[tight], wide, gripper, surface.upright, obstacles, settings
-            )  # fmt: skip
-            better = tight[wider > reach[tight]]
-            width[better], reach[better] = wide[wider > reach[tight]], wider[wider > reach[tight]]
-        good = reach >= least
+        wide = np.where(reach < np.maximum(least, 0), np.minimum(width + _WIDER_M, widest), width)
+        wider = reach_past(hands.rotations, tips, wide, gripper, surface.upright, obstacles, settings)
+        width = np.where(wider > reach, wide, width)
+        reach = np.maximum(reach, wider)
         positions = tips + np.minimum(reach, 0)[:, None] * approach
-        return Grasps(
-            hands.rotations, positions.astype(np.float32), width.astype(np.float32), hands.scores
-        )[good]  # fmt: skip
+        good = (reach >= least) & np.isfinite(reach)
+        return Grasps(hands.rotations, positions, width, hands.scores)[good]
+
+    def _placement_for(self, surface: Completed) -> PlacementSettings:
+        """Let the fingertips come nearer to the support where the object is flat."""
+        top = float(np.quantile(surface.upright.height(surface.seen.points), 0.95))
+        usual = self.placement.tip_height_m
+        return replace(self.placement, tip_height_m=float(np.clip(0.3 * top, min(_LOWEST_TIP_M, usual), usual)))
 
 
 def _widest(gripper: Gripper) -> np.float32:

@@ -49,8 +49,8 @@ class VgnAntipodalGenerator:
     ) -> None:
         if ranking not in ("own", "joint"):
             raise ConfigError(f"vgn_antipodal generator: ranking must be 'own' or 'joint', got {ranking!r}")
-        shared = {"tip_height_m": tip_height_m}
-        self.vgn = VgnGenerator(**({"weights": weights, "device": device} | shared | dict(vgn or {})))
+        shared: dict[str, Any] = {"tip_height_m": tip_height_m}
+        self.vgn = VgnGenerator(weights=weights, device=device, **(shared | dict(vgn or {})))
         self.antipodal = AntipodalGenerator(**(shared | dict(antipodal or {})))
         self.ranking = ranking
 

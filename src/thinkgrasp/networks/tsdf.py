@@ -91,7 +91,7 @@ def fuse(
 def _signed_distance(
     depth: Float, camera: CameraIntrinsics, T: Float, voxel: np.float32, resolution: int, max_depth_m: float
 ) -> Float:
-    """Distance (N, N, N) [m] along the ray from each voxel's centre to what its pixel shows; -inf where it is unseen."""
+    """Distance (N, N, N) [m] along the ray from each voxel's centre to what its pixel shows; -inf where unseen."""
     fx, fy, cx, cy = (np.float32(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))
     half = voxel / np.float32(2)
     along = half + voxel * np.arange(resolution, dtype=np.float32)

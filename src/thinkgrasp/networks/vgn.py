@@ -51,8 +51,8 @@ class Vgn(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.encoder = _Convolutions((1, 16, 5), (16, 32, 3), (32, 64, 3))
-        self.decoder = _Convolutions((64, 64, 3), (64, 32, 3), (32, 16, 5))
+        self.encoder = _Convolutions((1, 16, 5), (16, 32, 3), (32, 64, 3), stride=2)
+        self.decoder = _Convolutions((64, 64, 3), (64, 32, 3), (32, 16, 5), stride=1)
         self.conv_qual, self.conv_rot, self.conv_width = (nn.Conv3d(16, n, 5, padding=2) for n in (1, 4, 1))
 
     def forward(self, grid: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -63,23 +63,27 @@ class Vgn(nn.Module):
         """
         x = grid
         sizes: list[int] = []
-        for conv in self.encoder.children():
+        for conv in self.encoder.in_order():
             sizes.append(x.shape[-1])
-            x = functional.relu(functional.conv3d(x, conv.weight, conv.bias, stride=2, padding=conv.padding))
-        for conv in self.decoder.children():
+            x = functional.relu(conv(x))
+        for conv in self.decoder.in_order():
             x = functional.interpolate(functional.relu(conv(x)), size=(sizes.pop(),) * 3)
         heads = (self.conv_qual, self.conv_rot, self.conv_width)
         weight, bias = torch.cat([h.weight for h in heads]), torch.cat([h.bias for h in heads if h.bias is not None])
         quality, rotation, width = functional.conv3d(x, weight, bias, padding=2).split((1, 4, 1), dim=1)
-        return torch.sigmoid(quality), functional.normalize(rotation, dim=1), width
+        length = rotation.square().sum(dim=1, keepdim=True).sqrt().clamp_min(1e-12)
+        return torch.sigmoid(quality), rotation / length, width
 
 
 class _Convolutions(nn.Module):
     """Three convolutions, each (channels in, channels out, kernel)."""
 
-    def __init__(self, *shapes: tuple[int, int, int]) -> None:
+    def __init__(self, *shapes: tuple[int, int, int], stride: int) -> None:
         super().__init__()
-        self.conv1, self.conv2, self.conv3 = (nn.Conv3d(i, o, k, padding=k // 2) for i, o, k in shapes)
+        self.conv1, self.conv2, self.conv3 = (nn.Conv3d(i, o, k, stride, k // 2) for i, o, k in shapes)
+
+    def in_order(self) -> tuple[nn.Conv3d, nn.Conv3d, nn.Conv3d]:
+        return self.conv1, self.conv2, self.conv3
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +119,7 @@ class Voxels:
             centring: Add half a voxel in x and y. The published code does not, and is 3 to 4 mm off there.
         """
         half = np.array([0.5, 0.5, 0.0]) if centring else np.zeros(3)
-        return (self.index + half) * (cube_m / RESOLUTION)
+        return np.asarray((self.index + half) * (cube_m / RESOLUTION), np.float64)
 
     def width_m(self, cube_m: float = CUBE_M) -> NDArray[np.float64]:
         """Return the width (K,) [m]."""
@@ -164,7 +168,7 @@ def predict(network: Vgn, grids: Float) -> list[Prediction]:
 def valid_voxels(grid: Float) -> NDArray[np.bool_]:
     """Return (N, N, N) True on the seen, free side of surfaces, and up to two voxels from it into what is unseen."""
     outside, inside = grid > 0.5, (grid > 1e-3) & (grid < 0.5)
-    return ndimage.binary_dilation(outside, iterations=2, mask=~inside)
+    return np.asarray(ndimage.binary_dilation(outside, iterations=2, mask=~inside), np.bool_)
 
 
 def process_quality(grid: Float, raw: Prediction, *, variant: Variant = "corl2020") -> Float:
@@ -175,7 +179,7 @@ def process_quality(grid: Float, raw: Prediction, *, variant: Variant = "corl202
         raw: Its answer.
         variant: "corl2020", the published code, also leaves out widths outside `WIDTH_VOXELS`; "devel" does not.
     """
-    quality = ndimage.gaussian_filter(raw.quality, sigma=1.0, mode="nearest", radius=4)
+    quality = np.asarray(ndimage.gaussian_filter(raw.quality, sigma=1.0, mode="nearest", radius=4), np.float32)
     quality[~valid_voxels(grid)] = 0
     if variant == "corl2020":
         low, high = WIDTH_VOXELS
