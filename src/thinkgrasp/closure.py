@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from thinkgrasp.contacts import EVALUATED_FRICTIONS, smallest_friction
+from thinkgrasp.contacts import EVALUATED_FRICTIONS, FRICTIONS, smallest_friction
 from thinkgrasp.errors import InputError
+from thinkgrasp.gripper import Gripper
 from thinkgrasp.types import Grasps
 
 Float = NDArray[np.float64]
@@ -143,6 +144,32 @@ def grasp_friction(
     return best
 
 
+def pad_friction(
+    grasps: Grasps, cloud: OrientedCloud, gripper: Gripper, *, frictions: tuple[float, ...] = FRICTIONS
+) -> Float:
+    """Return the smallest friction coefficient at which a gripper's pads close on a cloud, (N,); inf as above.
+
+    Of each pad, as broad as the fingers and as long as the gripper says, what it meets first counts.
+
+    Args:
+        grasps: In the cloud's frame.
+        cloud: The object's surface.
+        gripper: Gives the pads.
+        frictions: Coefficients tried, largest first.
+    """
+    pad = gripper.finger_breadth_m / 2, gripper.pad_length_m
+    points, normals = (np.full((len(grasps), 2, 3), np.nan) for _ in range(2))
+    R, half = grasps.rotations.astype(np.float64), grasps.widths.astype(np.float64) / 2
+    origin = grasps.positions.astype(np.float64)
+    for side, sign in enumerate((-1.0, 1.0)):
+        for rows, x, normal in _meet_points(cloud, R, origin, half, sign, pad):
+            points[rows, side] = origin[rows] + x[:, None] * R[rows, :, 0]
+            normals[rows, side] = normal
+    return smallest_friction(
+        points[:, 0], points[:, 1], normals[:, 0], normals[:, 1], frictions=frictions, oriented=False
+    )
+
+
 _Met = tuple[slice | NDArray[np.intp], Float, Float]
 """Rows that meet something, where on the closing line [m], and the normal there."""
 
@@ -172,7 +199,15 @@ def _meet_triangles(mesh: TriangleMesh, R: Float, origin: Float, half: Float, si
         yield rows[met], sign * first[met], face_normals[face[met]]
 
 
-def _meet_points(cloud: OrientedCloud, R: Float, origin: Float, half: Float, sign: float) -> Iterator[_Met]:
+def _meet_points(
+    cloud: OrientedCloud,
+    R: Float,
+    origin: Float,
+    half: Float,
+    sign: float,
+    pad: tuple[float, float] | None = None,
+) -> Iterator[_Met]:
+    """What lies within the cloud's radius of the line is met; or within a pad's half breadth and length."""
     good = np.isfinite(cloud.points).all(axis=1) & np.isfinite(cloud.normals).all(axis=1)
     points, normals = cloud.points[good].astype(np.float64), cloud.normals[good].astype(np.float64)
     chunk = max(1, _MAX_PAIRS // max(len(points), 1))
@@ -180,7 +215,12 @@ def _meet_points(cloud: OrientedCloud, R: Float, origin: Float, half: Float, sig
         rows = np.arange(start, min(start + chunk, len(R)))
         local = np.einsum("mj,nji->nmi", points, R[rows]) - np.einsum("nj,nji->ni", origin[rows], R[rows])[:, None]
         x = sign * local[..., 0]
-        near = (local[..., 1] ** 2 + local[..., 2] ** 2 <= cloud.radius_m**2) & (x >= 0) & (x <= half[rows, None])
+        y, z = local[..., 1], local[..., 2]
+        if pad is None:
+            near = y**2 + z**2 <= cloud.radius_m**2
+        else:
+            near = (np.abs(y) <= pad[0]) & (z <= 0) & (z >= -pad[1])
+        near &= (x >= 0) & (x <= half[rows, None])
         first = np.where(near, x, -np.inf).max(axis=1)
         met = np.isfinite(first)
         touched = near[met] & (x[met] >= first[met, None] - cloud.radius_m)

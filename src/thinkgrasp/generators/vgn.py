@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from thinkgrasp.closure import OrientedCloud, pad_friction
+from thinkgrasp.contacts import closure_score
 from thinkgrasp.errors import ConfigError, MissingDependency
 from thinkgrasp.generators.antipodal import split_objects
 from thinkgrasp.generators.cubes import place_cubes, supported
@@ -32,6 +34,7 @@ except ModuleNotFoundError as error:
 _SPAN = (0.3, 1.0)
 """Part of the hand's depth in which its target lies: the contacts are there, from the palm."""
 _ON_TARGET_M = 0.012
+_CONTACT_M = 0.003
 _WIDER_M = np.float32(0.016)
 _LOWEST_TIP_M = 0.0035
 
@@ -60,7 +63,8 @@ class VgnGenerator:
     Upright cubes of the whole view, the support in each at the height that the network knows, are put over the crop;
     voxels whose fingers would not close on a cropped point are left out.
 
-    The score is the network's quality after its post-processing.
+    The score of a fitted grasp is the network's quality, after its post-processing, times 1.1 - mu of what the pads
+    would touch; 0 where that does not close at mu = 1. Of one that is not fitted it is the quality alone.
 
     Args:
         weights: File of the network's weights, `vgn_conv.pth`; they do not come with this package.
@@ -261,7 +265,10 @@ class VgnGenerator:
         reach = np.maximum(reach, wider)
         positions = tips + np.minimum(reach, 0)[:, None] * approach
         good = (reach >= least) & np.isfinite(reach)
-        return Grasps(hands.rotations, positions, width, hands.scores)[good]
+        grasps = Grasps(hands.rotations, positions, width, hands.scores)[good]
+        cloud = OrientedCloud(surface.whole.points, surface.whole.normals, radius_m=_CONTACT_M)
+        score = grasps.scores * closure_score(pad_friction(grasps, cloud, gripper))
+        return Grasps(grasps.rotations, grasps.positions, grasps.widths, score.astype(np.float32))
 
     def _placement_for(self, surface: Completed) -> PlacementSettings:
         """Let the fingertips come nearer to the support where the object is flat."""
