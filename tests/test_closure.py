@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thinkgrasp.closure import OrientedCloud, TriangleMesh, find_contacts, grasp_friction
+from thinkgrasp.closure import OrientedCloud, TriangleMesh, find_contacts, grasp_friction, pad_friction
 from thinkgrasp.contacts import EVALUATED_FRICTIONS, smallest_friction
 from thinkgrasp.errors import InputError
+from thinkgrasp.gripper import GRIPPERS
 from thinkgrasp.types import Grasps
 
 GOLDEN = Path(__file__).parents[2] / "shared" / "grasp_networks" / "golden_ops.npz"
@@ -92,6 +93,15 @@ def test_the_best_line_of_the_pad_counts():
     deep = grasps([[0, 0, 0.06]])  # the tips are past the box, the pads are not
     assert np.isinf(grasp_friction(deep, box())).all()
     assert grasp_friction(deep, box(), behind_tip_m=(0.0, 0.02))[0] == 0.2
+
+
+def test_a_pad_meets_what_stands_out_along_its_length():
+    gripper = GRIPPERS["robotiq_2f85"]
+    deep = grasps([[0, 0, 0.02], [0, 0, 0.045]])  # the ball's widest line is behind the tips, and beyond the pads
+    assert pad_friction(deep, sphere(), gripper)[0] <= 0.3
+    assert pad_friction(deep, sphere(), gripper)[1] >= 0.3
+    assert np.isinf(pad_friction(grasps([[0, 0, -0.05]]), sphere(), gripper)).all()
+    assert pad_friction(Grasps.empty(), sphere(), gripper).shape == (0,)
 
 
 def test_nothing_to_meet_and_nothing_to_judge():

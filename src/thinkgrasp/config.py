@@ -77,10 +77,12 @@ PRESETS: dict[str, PipelineConfig] = {
         ),
     ),
 }
+PRESETS["learned"] = replace(PRESETS["offline"], generator=StageConfig("vgn_antipodal"))
 """What `--preset` takes. One entry per preset."""
 
 PRESET_NOTES: dict[str, str] = {
     "offline": "no network, GPU, key or download: perception and grasps from geometry, language from a rule book",
+    "learned": "offline, with grasps from VGN too: needs --set generator.weights=PATH of vgn_conv.pth, see docs/vgn.md",
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
 from pathlib import Path
 
@@ -91,6 +92,16 @@ def test_processing_the_golden_answer_alone_gives_the_golden_quality():
         for variant in VARIANTS:
             quality = vgn.process_quality(data[f"{views}_tsdf_grid"], raw, variant=variant)
             np.testing.assert_allclose(quality, data[f"{views}_{variant}_qual_processed"], rtol=0, atol=1e-7)
+
+
+@needs_golden
+def test_the_call_that_the_page_shows_runs_as_it_stands(monkeypatch):
+    page = (Path(__file__).parents[2] / "docs" / "vgn.md").read_text()
+    code, _ = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    monkeypatch.chdir(SHARED)
+    names: dict[str, object] = {}
+    exec(compile(code, "vgn.md", "exec"), names)
+    assert len(names["voxels"].index) == 8
 
 
 @needs_golden
