@@ -6,7 +6,8 @@
 `single`: one object at a time, every one of the catalogue once. `clutter`: piles of the ten clutter tasks; the planner
 chooses what to take, which does not depend on the generator, and one grasp is tried. Masks and names are the
 simulator's; grasps are proposed, checked and chosen on the measured depth as in the closed loop. It counts when what
-was aimed at was held up to the bin, by contact.
+was aimed at was held up to the bin, by contact. Beside that, every chosen grasp and its alternatives are judged alike
+by the friction they need on the object's true mesh.
 
 Every finished trial is one line of --out at once; the same command on the same file goes on where it was interrupted.
 Grasps do not depend on the number of workers; times do: take those from a run with one.
@@ -21,7 +22,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -31,8 +32,10 @@ from grasping import lone_object
 from scipy.stats import binomtest
 from trials import rate, run_all
 
+from thinkgrasp.closure import TriangleMesh, grasp_friction
 from thinkgrasp.config import PipelineConfig, StageConfig, load_config
 from thinkgrasp.errors import ConfigError
+from thinkgrasp.geometry import apply, invert
 from thinkgrasp.robots.simulated import SimulatedRobot
 from thinkgrasp.sim import catalogue
 from thinkgrasp.sim.objects import SimObject
@@ -42,12 +45,15 @@ from thinkgrasp.sim.truth import true_labels
 from thinkgrasp.sim.views import CameraView
 from thinkgrasp.sim.world import World
 from thinkgrasp.testbed import Session, for_the_loop
-from thinkgrasp.types import Frame
+from thinkgrasp.types import Frame, Grasp, Grasps
 
 SCHEMA = "thinkgrasp/bench-generator-1"
 CLUTTER_SEEDS = 6
 """Piles per task: with ten tasks, 60 scenes."""
 UNCHECKED = ("target", "width", "workspace")
+PAD_LINES_M = (0.004, 0.010, 0.016, 0.022, 0.028)
+"""How far behind the tips a pad is taken to touch the true mesh."""
+GOOD_FRICTION = 0.4
 Suite = Literal["single", "clutter"]
 
 
@@ -121,6 +127,10 @@ class Trial:
     check_ms: float
     decision_ms: float
     seconds: float
+    closes_at: float | None = None
+    """Friction that the chosen grasp needs on the object's true mesh; None = does not close, or there was none."""
+    closed_share: float = 0.0
+    """Of the chosen grasp and its alternatives, the share that closes there at GOOD_FRICTION."""
 
     @property
     def key(self) -> tuple[str, str, int, str]:
@@ -169,7 +179,7 @@ def _try(job: Job) -> Trial:
     aimed = None if decision.target is None else _shown(world, frame, decision.target.mask)
     funnel = decision.funnel
     times = dict(decision.timings_ms)
-    measured = {
+    measured: dict[str, Any] = {
         "candidates": funnel[0].n_out if funnel else 0,
         "kept": funnel[-1].n_out if funnel else 0,
         "generate_ms": round(times.get("generate", 0.0), 1),
@@ -180,6 +190,10 @@ def _try(job: Job) -> Trial:
     if decision.grasp is None:
         detail = ", ".join(f"{step.check} {step.n_out}" for step in funnel)
         return replace(_trial(job, target, decision.status, detail), **measured)
+    if aimed is not None:
+        friction = _true_friction(world, frame, aimed, [decision.grasp, *decision.alternatives])
+        measured["closes_at"] = float(friction[0]) if np.isfinite(friction[0]) else None
+        measured["closed_share"] = round(float((friction <= GOOD_FRICTION).mean()), 3)
     outcome = robot.execute(decision.grasp, frame)
     reason = outcome.reason
     if reason == "held" and robot.truth.delivered != aimed:
@@ -194,6 +208,19 @@ def _trial(job: Job, target: SimObject | None, reason: str, detail: str) -> Tria
         SCHEMA, job.suite, job.scene, job.seed, job.method, name, category, kind, reason, detail,
         0, 0, 0.0, 0.0, 0.0, 0.0,
     )  # fmt: skip
+
+
+def _true_friction(world: World, frame: Frame, index: int, grasps: Sequence[Grasp]) -> np.ndarray:
+    """Friction (N,) that grasps in camera coordinates need on an object's visible surface; inf = not closed."""
+    assert frame.T_world_camera is not None  # the simulated camera always knows it
+    T = invert(frame.T_world_camera) @ world.pose(index)
+    visuals = world.objects[index].visuals
+    starts = np.cumsum([0, *(len(v.vertices) for v in visuals)])
+    vertices = apply(T, np.concatenate([v.vertices for v in visuals]).astype(np.float64))
+    mesh = TriangleMesh(vertices, np.concatenate([v.faces + n for v, n in zip(visuals, starts[:-1], strict=True)]))
+    names = ("rotation", "position", "width_m", "score")
+    batch = Grasps(*(np.array([getattr(g, name) for g in grasps], np.float32) for name in names))
+    return grasp_friction(batch, mesh, behind_tip_m=PAD_LINES_M)
 
 
 def _shown(world: World, frame: Frame, mask: np.ndarray) -> int | None:
@@ -219,9 +246,9 @@ def report(trials: Sequence[Trial]) -> str:
 
 def _totals(by_method: dict[str, list[Trial]]) -> list[str]:
     lines = [
-        "| method | held of all scenes | no grasp | failures | candidates, kept (median) "
-        "| generate, check, decision (median ms) |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "| method | held of all scenes | no grasp | failures | closed on the true mesh: chosen, all answers "
+        "| candidates, kept (median) | generate, check, decision (median ms) |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for method, trials in by_method.items():
         failed = Counter(t.reason for t in trials if not t.held and t.reason != "no_grasp")
@@ -234,9 +261,18 @@ def _totals(by_method: dict[str, list[Trial]]) -> list[str]:
             f"| {method} | {rate(sum(t.held for t in trials), len(trials))} "
             f"| {sum(t.reason == 'no_grasp' for t in trials)} "
             f"| {', '.join(f'{r} {n}' for r, n in failed.most_common())} "
-            f"| {', '.join(medians[:2])} | {', '.join(medians[2:])} |"
+            f"| {_closed(trials)} | {', '.join(medians[:2])} | {', '.join(medians[2:])} |"
         )
     return lines
+
+
+def _closed(trials: Sequence[Trial]) -> str:
+    """Share of chosen grasps, and of all answers, that close on the true mesh at GOOD_FRICTION."""
+    answered = [t for t in trials if t.kept]
+    if not answered:
+        return ""
+    chosen = np.mean([t.closes_at is not None and t.closes_at <= GOOD_FRICTION for t in answered])
+    return f"{100 * chosen:.0f} %, {100 * np.mean([t.closed_share for t in answered]):.0f} %"
 
 
 def _pairs(by_method: dict[str, list[Trial]]) -> list[str]:
