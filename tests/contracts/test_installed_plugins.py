@@ -49,7 +49,7 @@ def test_planner_without_its_server_keeps_its_contract():
 @pytest.mark.parametrize("point", NEEDS_VGN, ids=lambda p: p[1])
 def test_generator_with_an_untrained_network_keeps_its_contract(point, tmp_path):
     pytest.importorskip("torch", reason="needs thinkgrasp[graspnet]")
-    settings = {"threshold": 0.3, "variant": "devel"}  # an untrained network calls everything 0.5
+    settings = {"threshold": 0.3, "variant": "devel", "n_yaws": 1}  # an untrained network calls everything 0.5
     generator = registry.load(
         *point, weights=untrained_vgn(tmp_path), **(settings if point[1] == "vgn" else {"vgn": settings})
     )  # fmt: skip
