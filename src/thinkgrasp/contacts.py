@@ -84,7 +84,7 @@ def smallest_friction(
 def _turned(vectors: NDArray[np.floating], towards: NDArray[np.float64]) -> NDArray[np.float64]:
     """Vectors (N, 3), each with the sign that points towards a direction (N, 3)."""
     along = np.sum(np.asarray(vectors, np.float64) * towards, axis=-1, keepdims=True)
-    return np.where(along < 0, -1.0, 1.0) * vectors
+    return np.asarray(np.where(along < 0, -1.0, 1.0) * vectors, np.float64)
 
 
 def friction_of_angle(angle: NDArray[np.floating], frictions: tuple[float, ...] = FRICTIONS) -> NDArray[np.float64]:

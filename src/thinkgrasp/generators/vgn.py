@@ -229,13 +229,13 @@ class VgnGenerator:
     def _opened(self, hands: _Hands, depth: np.float32, upright: Upright, gripper: Gripper) -> Grasps:
         """The gripper wide open where the trained hand was, kept above the support."""
         width = np.full(len(hands), _widest(gripper), np.float32)
-        tips = hands.palms + depth * hands.rotations[:, :, 2]
+        tips = np.asarray(hands.palms + depth * hands.rotations[:, :, 2], np.float32)
         nothing = np.zeros((0, 3), np.float32)
         reach = reach_past(hands.rotations, tips, width, gripper, upright, nothing, self.placement)
         back = np.minimum(reach, 0)
         good = back > -depth
         positions = tips + np.where(good, back, np.float32(0))[:, None] * hands.rotations[:, :, 2]
-        return Grasps(hands.rotations, positions, width, hands.scores)[good]
+        return Grasps(hands.rotations, positions.astype(np.float32), width, hands.scores)[good]
 
     def _fitted(
         self, scene: Scene, mask: Mask, crop: Mask, hands: _Hands, depth: np.float32, gripper: Gripper
@@ -254,7 +254,7 @@ class VgnGenerator:
         if len(hands) == 0:
             return Grasps.empty()
         closing, approach = hands.rotations[:, :, 0], hands.rotations[:, :, 2]
-        tips = hands.palms + depth * approach + middle[:, None] * closing
+        tips = np.asarray(hands.palms + depth * approach + middle[:, None] * closing, np.float32)
         obstacles = surface.obstacles(scene, mask, gripper)
 
         reach = reach_past(hands.rotations, tips, width, gripper, surface.upright, obstacles, settings)
@@ -265,7 +265,7 @@ class VgnGenerator:
         reach = np.maximum(reach, wider)
         positions = tips + np.minimum(reach, 0)[:, None] * approach
         good = (reach >= least) & np.isfinite(reach)
-        grasps = Grasps(hands.rotations, positions, width, hands.scores)[good]
+        grasps = Grasps(hands.rotations, positions.astype(np.float32), width, hands.scores)[good]
         cloud = OrientedCloud(surface.whole.points, surface.whole.normals, radius_m=_CONTACT_M)
         score = grasps.scores * closure_score(pad_friction(grasps, cloud, gripper))
         return Grasps(grasps.rotations, grasps.positions, grasps.widths, score.astype(np.float32))
