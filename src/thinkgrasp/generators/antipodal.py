@@ -141,11 +141,9 @@ class AntipodalGenerator:
         if len(placed.line) == 0:
             return Grasps.empty()
 
-        low, high = np.quantile(whole.points, 0.02, axis=0), np.quantile(whole.points, 0.98, axis=0)
-        size = max(float(np.linalg.norm(high - low)) / 2, 0.01)
-        off_centre = np.linalg.norm(lines.middle[placed.line] - (low + high) / 2, axis=1) / size
+        off_centre = surface.off_centre(lines.middle[placed.line])
         depth = np.clip(placed.engagement / (0.5 * gripper.pad_length_m), 0, 1)
-        score = lines.score[placed.line] * (1 - 0.25 * np.minimum(off_centre, 1)) * (0.75 + 0.25 * depth)
+        score = lines.score[placed.line] * (1 - 0.25 * off_centre) * (0.75 + 0.25 * depth)
         score = score * (1 - 0.15 * np.minimum(placed.tilt / np.deg2rad(60), 1))
         return Grasps(
             placed.rotations.astype(np.float32),

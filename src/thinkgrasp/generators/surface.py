@@ -97,6 +97,12 @@ class Completed:
         whole = join([seen, *([turned] if turned is not None else []), curtain])
         return cls(seen, whole, upright)
 
+    def off_centre(self, points: Float) -> Float:
+        """Return how far (N,) points (N, 3) lie from the object's middle: 0..1, 1 = half its diagonal or more."""
+        low, high = np.quantile(self.whole.points, 0.02, axis=0), np.quantile(self.whole.points, 0.98, axis=0)
+        size = max(float(np.linalg.norm(high - low)) / 2, 0.01)
+        return np.minimum(np.linalg.norm(points - (low + high) / 2, axis=1) / size, 1)
+
     def obstacles(self, scene: Scene, mask: Mask, gripper: Gripper) -> Float:
         """Return points (M, 3) [m], about 7 mm apart, of the object and of what stands within the gripper's reach."""
         own = self.whole.points[voxel_downsample(self.whole.points, _OBSTACLE_SPACING_M)]

@@ -64,7 +64,8 @@ class VgnGenerator:
     voxels whose fingers would not close on a cropped point are left out.
 
     The score of a fitted grasp is the network's quality, after its post-processing, times 1.1 - mu of what the pads
-    would touch; 0 where that does not close at mu = 1. Of one that is not fitted it is the quality alone.
+    would touch (0 where that does not close at mu = 1), times 1 down to 0.75 with the distance from the object's
+    middle. Of one that is not fitted it is the quality alone.
 
     Args:
         weights: File of the network's weights, `vgn_conv.pth`; they do not come with this package.
@@ -76,8 +77,9 @@ class VgnGenerator:
         scale: Size of the world in the network's eyes: the cube's side is 0.30 m and the hand opens 0.08 m, times this.
             None = the gripper's opening over 0.08 m, as far as its fingers are that much longer.
         n_yaws: Cubes at so many turns about the vertical, spread over 90 degrees.
-        fit: Centre each grasp on what is between the fingers, open only as far as it needs, and draw back from what is
-            in the way. False: fully open, fingertips where the trained hand has them, kept above the support.
+        fit: Centre each grasp on what is between the fingers, open only as far as it needs, put the palm where the
+            trained hand's was, and draw back from what is in the way. False: fully open, fingertips where the trained
+            hand has them, kept above the support.
         max_cubes: At most so many cubes per turn.
         max_grasps: At most so many grasps, best first.
         clearance_m: Room between each open finger and the object where the gripper opens that far.
@@ -169,9 +171,10 @@ class VgnGenerator:
         hands = hands[self._on(hands, seen, scale)][: self.max_grasps]
         if len(hands) == 0:
             return Grasps.empty()
-        depth = np.float32(vgn.HAND_DEPTH_M * scale)
+        trained = vgn.HAND_DEPTH_M * scale
         if not self.fit:
-            return self._opened(hands, depth, Upright.of(scene, seen), gripper)
+            return self._opened(hands, np.float32(trained), Upright.of(scene, seen), gripper)
+        depth = np.float32(max(trained, gripper.finger_length_m))
         masks = split_objects(scene, crop)
         return Grasps.concatenate([self._fitted(scene, mask, crop, hands, depth, gripper) for mask in masks])
 
@@ -264,10 +267,10 @@ class VgnGenerator:
         width = np.where(wider > reach, wide, width)
         reach = np.maximum(reach, wider)
         positions = tips + np.minimum(reach, 0)[:, None] * approach
-        good = (reach >= least) & np.isfinite(reach)
-        grasps = Grasps(hands.rotations, positions.astype(np.float32), width, hands.scores)[good]
-        cloud = OrientedCloud(surface.whole.points, surface.whole.normals, radius_m=_CONTACT_M)
-        score = grasps.scores * closure_score(pad_friction(grasps, cloud, gripper))
+        grasps = Grasps(hands.rotations, positions.astype(np.float32), width, hands.scores)[reach >= least]
+        whole = surface.whole
+        closing_at = pad_friction(grasps, OrientedCloud(whole.points, whole.normals, radius_m=_CONTACT_M), gripper)
+        score = grasps.scores * closure_score(closing_at) * (1 - 0.25 * surface.off_centre(_pads(grasps, gripper)))
         return Grasps(grasps.rotations, grasps.positions, grasps.widths, score.astype(np.float32))
 
     def _placement_for(self, surface: Completed) -> PlacementSettings:
@@ -279,6 +282,11 @@ class VgnGenerator:
 
 def _widest(gripper: Gripper) -> np.float32:
     return np.nextafter(np.float32(gripper.max_width_m), np.float32(0))
+
+
+def _pads(grasps: Grasps, gripper: Gripper) -> Float:
+    """Middle (N, 3) of what the pads may touch."""
+    return grasps.positions - np.float32(gripper.pad_length_m / 2) * grasps.rotations[:, :, 2]
 
 
 def _sign(closing: NDArray[np.floating], upright: Upright) -> NDArray[np.floating]:
