@@ -77,7 +77,7 @@ PRESETS: dict[str, PipelineConfig] = {
         ),
     ),
 }
-PRESETS["learned"] = replace(PRESETS["offline"], generator=StageConfig("vgn_antipodal", {"ranking": "own"}))
+PRESETS["learned"] = replace(PRESETS["offline"], generator=StageConfig("vgn_antipodal"))
 """What `--preset` takes. One entry per preset."""
 
 PRESET_NOTES: dict[str, str] = {

@@ -92,7 +92,7 @@ def test_both_generators_together_propose_what_either_does():
     own = generate(both, scene, mask)
     parts = [generate(g, scene, mask) for g in (both.vgn, both.antipodal)]
     assert len(own) == sum(len(p) for p in parts)
-    joint = VgnAntipodalGenerator(weights=WEIGHTS, vgn={"n_yaws": 1})
+    joint = VgnAntipodalGenerator(weights=WEIGHTS, ranking="joint", vgn={"n_yaws": 1})
     ranked = generate(joint, scene, mask)
     assert len(ranked) == len(own)
     best = max(float(p.scores.max()) for p in parts)

@@ -1,4 +1,4 @@
-"""Grasps from geometry and from the Volumetric Grasping Network together."""
+"""Grasps from the Volumetric Grasping Network and from geometry together."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ class VgnAntipodalGenerator:
 
     Args:
         weights: File of VGN's weights.
-        ranking: "own" keeps each generator's scores. "joint" gives every grasp the mean of its own score and the best
-            score of a grasp like it from the other generator, 0 where there is none.
+        ranking: "own" keeps each generator's scores, which are on one scale: 1.1 - mu, times factors. "joint" gives
+            every grasp the mean of its own score and the best score of a grasp like it from the other generator, 0
+            where there is none.
         vgn: Further settings of the VGN generator.
         antipodal: Settings of the antipodal generator.
         tip_height_m: Of both.
@@ -41,7 +42,7 @@ class VgnAntipodalGenerator:
         self,
         *,
         weights: str | Path | None = None,
-        ranking: Ranking = "joint",
+        ranking: Ranking = "own",
         vgn: Mapping[str, Any] | None = None,
         antipodal: Mapping[str, Any] | None = None,
         tip_height_m: float = 0.006,
