@@ -286,7 +286,7 @@ def _widest(gripper: Gripper) -> np.float32:
 
 def _pads(grasps: Grasps, gripper: Gripper) -> Float:
     """Middle (N, 3) of what the pads may touch."""
-    return grasps.positions - np.float32(gripper.pad_length_m / 2) * grasps.rotations[:, :, 2]
+    return np.asarray(grasps.positions - gripper.pad_length_m / 2 * grasps.rotations[:, :, 2], np.float32)
 
 
 def _sign(closing: NDArray[np.floating], upright: Upright) -> NDArray[np.floating]:
