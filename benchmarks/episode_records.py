@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from pydantic import TypeAdapter
 
@@ -91,34 +92,36 @@ class EpisodeRecord:
         return self.task, self.seed, self.preset, self.size
 
 
-_RECORD = TypeAdapter(EpisodeRecord)
+Record = TypeVar("Record")
 
 
-class RecordLog:
+class RecordLog(Generic[Record]):
     """A file of records that survives the end of the process at any moment; a torn last line is cut off.
 
     Args:
         path: Appended to when it exists; None = nothing is written.
+        kind: The records' class.
     """
 
-    def __init__(self, path: Path | None) -> None:
+    def __init__(self, path: Path | None, kind: type[Record]) -> None:
         self._path = path
-        self.records: list[EpisodeRecord] = []
+        self._adapter = TypeAdapter(kind)
+        self.records: list[Record] = []
         if path is None or not path.exists():
             return
         content = path.read_bytes()
         whole = content[: content.rfind(b"\n") + 1]
         if len(whole) < len(content):
             os.truncate(path, len(whole))
-        self.records = [_RECORD.validate_json(line) for line in whole.splitlines()]
+        self.records = [self._adapter.validate_json(line) for line in whole.splitlines()]
 
-    def add(self, record: EpisodeRecord) -> None:
+    def add(self, record: Record) -> None:
         """Append a record and wait until it is on the disk."""
         self.records.append(record)
         if self._path is None:
             return
         with self._path.open("ab") as file:
-            file.write(_RECORD.dump_json(record) + b"\n")
+            file.write(self._adapter.dump_json(record) + b"\n")
             file.flush()
             os.fsync(file.fileno())
 

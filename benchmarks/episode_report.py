@@ -104,7 +104,7 @@ def _times(values: Sequence[float], unit: str, digits: int) -> str:
 
 def main(file: tyro.conf.Positional[Path]) -> None:
     """Print the report of a file."""
-    print(report(RecordLog(file).records))
+    print(report(RecordLog(file, EpisodeRecord).records))
 
 
 if __name__ == "__main__":

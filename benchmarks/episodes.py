@@ -167,7 +167,7 @@ def _not_run(job: Job, task: Task, end: str, error: str) -> EpisodeRecord:
 
 def run_jobs(jobs: Sequence[Job], workers: int, out: Path | None) -> list[EpisodeRecord]:
     """Run what the file does not have yet; return the records of all jobs, in their order."""
-    log = RecordLog(out)
+    log = RecordLog(out, EpisodeRecord)
     done = {record.key for record in log.records}
     missing = [job for job in jobs if job.key not in done]
     for n, record in enumerate(run_all(run_job, missing, workers), 1):

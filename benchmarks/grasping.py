@@ -29,6 +29,7 @@ from thinkgrasp.sim import catalogue
 from thinkgrasp.sim.oracle import oracle_pipeline
 from thinkgrasp.sim.world import World
 from thinkgrasp.testbed import for_the_loop
+from thinkgrasp.types import Frame
 
 TARGET = 0.93
 """Share of executed grasps that shall hold."""
@@ -72,14 +73,8 @@ class Result:
 
 def try_object(job: Job) -> Result:
     """Grasp one object once."""
-    obj = catalogue.make(job.name, job.seed)
-    world = World([obj])
-    rng = np.random.default_rng([job.seed, *job.name.encode()])
-    xy = [rng.uniform(low + INSIDE_M, high - INSIDE_M) for low, high in WORKSPACE_M]
-    turned = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)).as_matrix()
-    world.place(0, make_transform(turned, np.array([*xy, DROP_M - obj.bounds_m[0, 2]])))
-    world.settle()
-    frame = SimulatedCamera(world, seed=job.seed).read()
+    world, frame = lone_object(job)
+    obj = world.objects[0]
     decision = oracle_pipeline(for_the_loop(load_config("offline")), world, [0]).decide(frame, f"the {job.name}")
     if decision.grasp is None:
         funnel = ", ".join(f"{step.check} {step.n_out}" for step in decision.funnel)
@@ -87,6 +82,18 @@ def try_object(job: Job) -> Result:
     outcome = SimulatedRobot(world).execute(decision.grasp, frame)
     detail = f"score {decision.grasp.score:.2f}, opening {1e3 * decision.grasp.width_m:.0f} mm"
     return Result(job.name, obj.category, job.seed, outcome.reason, detail)
+
+
+def lone_object(job: Job) -> tuple[World, Frame]:
+    """Return the cell with one object at rest, and what the camera sees of it."""
+    obj = catalogue.make(job.name, job.seed)
+    world = World([obj])
+    rng = np.random.default_rng([job.seed, *job.name.encode()])
+    xy = [rng.uniform(low + INSIDE_M, high - INSIDE_M) for low, high in WORKSPACE_M]
+    turned = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)).as_matrix()
+    world.place(0, make_transform(turned, np.array([*xy, DROP_M - obj.bounds_m[0, 2]])))
+    world.settle()
+    return world, SimulatedCamera(world, seed=job.seed).read()
 
 
 def report(results: Sequence[Result]) -> str:

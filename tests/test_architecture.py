@@ -14,6 +14,7 @@ ORDER = [
     ["types"],
     ["geometry", "gripper", "outputs"],
     ["contacts"],
+    ["closure"],
     ["memory"],
     ["motion"],
     ["networks"],

@@ -75,12 +75,12 @@ def test_failures_are_told_apart_by_the_truth(bench) -> None:
 def test_a_torn_line_is_cut_off_and_the_file_goes_on(bench, tmp_path: Path) -> None:
     records = bench("episode_records")
     path = tmp_path / "episodes.jsonl"
-    log = records.RecordLog(path)
+    log = records.RecordLog(path, records.EpisodeRecord)
     log.add(episode(records))
     log.add(episode(records, seed=1))
     whole = path.read_bytes()
     path.write_bytes(whole[:-20])
-    again = records.RecordLog(path)
+    again = records.RecordLog(path, records.EpisodeRecord)
     assert again.records == [episode(records)]
     again.add(episode(records, seed=1))
     assert path.read_bytes() == whole
@@ -97,7 +97,8 @@ def test_episodes_are_recorded_reported_and_not_run_twice(
         return capsys.readouterr().out
 
     first = run()
-    records = bench("episode_records").RecordLog(out).records
+    episode_records = bench("episode_records")
+    records = episode_records.RecordLog(out, episode_records.EpisodeRecord).records
     assert {(r.task, r.preset) for r in records} == {("clutter-09-pear", "oracle"), ("clutter-09-pear", "offline")}
     for r in records:
         assert not r.error
@@ -159,3 +160,52 @@ def test_times_of_nested_calls_count_once(bench) -> None:
     with watch.watching({"outer": (Both, ("outer",)), "inner": (Both, ("inner",))}):
         assert Both().outer() == 2
     assert set(watch.seconds) == {"outer"}
+
+
+def test_generators_are_compared_scene_by_scene_and_not_run_twice(
+    bench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    generators = bench("generators")
+    out = tmp_path / "generators.jsonl"
+
+    def run() -> str:
+        generators.main(tmp_path / "none.pth", suite="single", methods=("antipodal",), scenes=1, workers=1, out=out)
+        return capsys.readouterr().out
+
+    first = run()
+    assert "| antipodal | 1/1 = 100.0 %" in first
+    monkeypatch.setattr(generators, "run_all", lambda work, jobs, workers: iter([work(job) for job in jobs]))
+    monkeypatch.setattr(generators, "run_job", None)
+    assert run() == first
+
+
+def test_the_comparison_of_generators_says_where_each_wins(bench) -> None:
+    generators = bench("generators")
+
+    def trial(scene: str, method: str, reason: str):
+        return generators.Trial(
+            generators.SCHEMA, "single", scene, 0, method, scene, "fruit", "compact", reason, "score 0.9",
+            9, 4, 100.0, 50.0, 300.0, 2.0,
+        )  # fmt: skip
+
+    trials = [
+        *(trial(scene, "antipodal", reason) for scene, reason in (("pear", "held"), ("plum", "slipped"))),
+        *(trial(scene, "joint", reason) for scene, reason in (("pear", "held"), ("plum", "held"))),
+    ]
+    text = generators.report(trials)
+    assert "| antipodal | 1/2 = 50.0 %" in text
+    assert "| joint | 1 | 1 | 0 | 0 | 1.00 |" in text
+    assert "| compact | 1/2 | 2/2 |" in text
+    assert "- plum seed 0, plum: antipodal slipped (score 0.9), joint held" in text
+    assert "pear seed" not in text
+    assert len(generators.suite_scenes("single", None)) == 150
+    assert len(generators.suite_scenes("clutter", None)) == 60
+    assert len(set(generators.suite_scenes("clutter", 20))) == 20
+
+
+def test_the_cost_of_vgn_is_measured_without_weights_too(bench, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch", reason="needs thinkgrasp[graspnet]")
+    bench("vgn_cost").main(threads=1, repeats=1)
+    text = capsys.readouterr().out
+    for part in ("TSDF, 1 view of 320x240", "network, 3 cubes", "torch imported"):
+        assert f"| {part} |" in text

@@ -159,6 +159,11 @@ def test_for_the_loop_adds_what_the_loop_needs():
     assert for_the_loop(config) == config
 
 
+@pytest.mark.parametrize("preset", ["offline", "learned"])
+def test_for_the_loop_lets_fingers_come_near_the_table(preset):
+    assert for_the_loop(load_config(preset)).generator.settings["tip_height_m"] == 0.0035
+
+
 def test_for_the_loop_keeps_settings_that_were_made():
     made = load_config("offline")
     checks = [c.with_setting("support_noise_m", 0.001) if c.name == "collision" else c for c in made.checks]

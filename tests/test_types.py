@@ -96,6 +96,19 @@ class TestGrasps:
         grasp = Grasp(R, np.array([0.1, 0.2, 0.3]), 0.05, 0.9)
         assert np.allclose(grasp.pregrasp(0.1), [0.0, 0.2, 0.3])
 
+    def test_batches_are_joined_best_first_and_ties_keep_their_order(self):
+        def batch(*scores: float) -> Grasps:
+            n = len(scores)
+            places = np.arange(3 * n, dtype=np.float32).reshape(n, 3) + 100 * scores[0]
+            rotations = np.repeat(np.eye(3, dtype=np.float32)[None], n, axis=0)
+            return Grasps(rotations, places, np.zeros(n, np.float32), np.array(scores, np.float32))
+
+        a, b = batch(0.5, 0.9), batch(0.7, 0.5)
+        joined = Grasps.concatenate([a, Grasps.empty(), b])
+        np.testing.assert_array_equal(joined.scores, np.array([0.9, 0.7, 0.5, 0.5], np.float32))
+        np.testing.assert_array_equal(joined.positions[2], a.positions[0])
+        assert len(Grasps.concatenate([])) == 0
+
 
 class TestScene:
     def test_wrong_mark_lists_those_that_exist(self):

@@ -82,6 +82,7 @@ def _asking(style: str, **settings: object) -> StageConfig:
 
 PRESETS: dict[str, PipelineConfig] = {
     "offline": _OFFLINE,
+    "learned": replace(_OFFLINE, generator=StageConfig("vgn_antipodal")),
     "vlm": replace(_OFFLINE, planner=_asking("marks")),
     "vlm-paper": replace(_OFFLINE, planner=_asking("paper")),
     "no-vlm": replace(_OFFLINE, planner=StageConfig("literal")),
@@ -94,6 +95,7 @@ PRESETS: dict[str, PipelineConfig] = {
 
 PRESET_NOTES: dict[str, str] = {
     "offline": "no network, GPU, key or download: perception and grasps from geometry, language from a rule book",
+    "learned": "offline, with grasps from VGN too: needs --weights PATH of vgn_conv.pth, see docs/vgn.md",
     "vlm": "a vision-language model chooses among numbered marks (extra vlm, and a key or a server: docs/vlm.md)",
     "vlm-paper": "a vision-language model sees the plain picture, as in the paper; what it names is found by geometry",
     "no-vlm": "ablation: no planner, the instruction itself is looked for",

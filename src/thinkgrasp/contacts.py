@@ -1,6 +1,7 @@
 """Two-finger force closure from the contacts alone: what the grasp score of the paper means.
 
-A core module, so that generators score with the same function that the force-closure check filters with.
+A core module, so that generators score with the same function that the force-closure check filters with. Where a
+grasp's fingers meet a mesh or a cloud is in `thinkgrasp.closure`.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 FRICTIONS = tuple(round(1.0 - 0.1 * i, 1) for i in range(10))
 """Friction coefficients tried, from 1.0 down to 0.1."""
+EVALUATED_FRICTIONS = (1.2, 1.0, 0.8, 0.6, 0.4, 0.2)
+"""Coefficients at which GraspNet-1Billion evaluates predicted grasps."""
 
 _EPS = 1e-9
 
@@ -49,8 +52,11 @@ def smallest_friction(
     contacts_b: NDArray[np.floating],
     normals_a: NDArray[np.floating],
     normals_b: NDArray[np.floating],
+    *,
+    frictions: tuple[float, ...] = FRICTIONS,
+    oriented: bool = True,
 ) -> NDArray[np.float64]:
-    """Return the smallest friction coefficient of 1.0, 0.9 .. 0.1 at which each contact pair is force closed.
+    """Return the smallest friction coefficient of those tried at which each contact pair is force closed.
 
     Two contacts with friction are closed if and only if the line between them lies in both friction cones, that is,
     both contact angles are at most arctan(mu).
@@ -60,21 +66,33 @@ def smallest_friction(
         contacts_b: Second contacts, (N, 3) [m].
         normals_a: Outward unit surface normals at the first contacts, (N, 3).
         normals_b: Outward unit surface normals at the second contacts, (N, 3).
+        frictions: Coefficients tried, largest first.
+        oriented: False: a normal may point to either side, and its length counts for nothing.
 
     Returns:
-        (N,) coefficient; inf where the pair is not closed even at 1.0.
+        (N,) coefficient; inf where the pair is not closed even at the largest.
 
     References:
         Nguyen, Constructing force-closure grasps, IJRR 1988. Fang et al., GraspNet-1Billion, CVPR 2020, section 3.
     """
-    return friction_of_angle(np.maximum(*contact_angles(contacts_a, contacts_b, normals_a, normals_b)))
+    if not oriented:
+        line = np.asarray(contacts_b, np.float64) - np.asarray(contacts_a, np.float64)
+        normals_a, normals_b = _turned(normals_a, -line), _turned(normals_b, line)
+    return friction_of_angle(np.maximum(*contact_angles(contacts_a, contacts_b, normals_a, normals_b)), frictions)
 
 
-def friction_of_angle(angle: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the smallest tried coefficient whose cone holds a contact angle (N,) [rad]; inf beyond 45 degrees."""
-    limits = np.arctan(np.array(FRICTIONS[::-1])) + _EPS
+def _turned(vectors: NDArray[np.floating], towards: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors (N, 3), each with the sign that points towards a direction (N, 3)."""
+    along = np.sum(np.asarray(vectors, np.float64) * towards, axis=-1, keepdims=True)
+    return np.asarray(np.where(along < 0, -1.0, 1.0) * vectors, np.float64)
+
+
+def friction_of_angle(angle: NDArray[np.floating], frictions: tuple[float, ...] = FRICTIONS) -> NDArray[np.float64]:
+    """Return the smallest coefficient, of those tried, whose cone holds a contact angle (N,) [rad]; inf beyond all."""
+    ascending = frictions[::-1]
+    limits = np.arctan(np.array(ascending)) + _EPS
     step = np.searchsorted(limits, np.asarray(angle, np.float64), side="left")
-    return np.append(FRICTIONS[::-1], np.inf)[step]
+    return np.append(ascending, np.inf)[step]
 
 
 def closure_score(friction: NDArray[np.floating]) -> NDArray[np.float64]:

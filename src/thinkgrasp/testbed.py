@@ -150,7 +150,7 @@ def for_the_loop(config: PipelineConfig) -> PipelineConfig:
     planner, generator = config.planner, config.generator
     if planner.name in ("offline", "openai"):
         planner = _with_default(planner, "search", "all")
-    if generator.name == "antipodal":
+    if generator.name in ("antipodal", "vgn", "vgn_antipodal"):
         generator = _with_default(generator, "tip_height_m", 0.0035)
     return replace(config, planner=planner, generator=generator, checks=tuple(checks))
 

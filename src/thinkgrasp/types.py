@@ -6,7 +6,7 @@ otherwise. Arrays are not copied; treat them as read-only.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -329,6 +329,14 @@ class Grasps:
         """Return a batch of none."""
         z = np.zeros
         return cls(z((0, 3, 3), np.float32), z((0, 3), np.float32), z(0, np.float32), z(0, np.float32))
+
+    @classmethod
+    def concatenate(cls, parts: Iterable[Grasps]) -> Grasps:
+        """Join batches, best first; of equal scores the earlier comes first."""
+        batches = [cls.empty(), *parts]
+        names = ("rotations", "positions", "widths", "scores")
+        joined = cls(*(np.concatenate([getattr(b, name) for b in batches]) for name in names))
+        return joined[np.argsort(-joined.scores, kind="stable")]
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -7,6 +7,7 @@ from importlib.metadata import EntryPoint
 
 import pytest
 from fakes.chat_server import dead_url
+from fakes.networks import untrained_vgn
 
 from thinkgrasp import registry, testing
 from thinkgrasp.cameras.saving import save_frame
@@ -28,7 +29,8 @@ def registered(kind: registry.Kind) -> list[str]:
 
 ASKS_A_SERVER = ("planner", "openai")
 VLPART = ("segmenter", "vlpart")
-SPECIAL = {ASKS_A_SERVER, VLPART}
+NEEDS_VGN = (("generator", "vgn"), ("generator", "vgn_antipodal"))
+SPECIAL = {ASKS_A_SERVER, VLPART, *NEEDS_VGN}
 
 
 @pytest.mark.parametrize(("kind", "name"), [(k, n) for k in STAGES for n in registered(k) if (k, n) not in SPECIAL])
@@ -50,6 +52,16 @@ def test_segmenter_of_parts_with_random_weights_keeps_its_contract(tmp_path):
     weights, tokenizer = save_checkpoint(tmp_path)
     settings = {"weights": weights, "tokenizer": tokenizer, "config": TINY, "cache_folder": tmp_path / "cache"}
     testing.check_segmenter(registry.load(*VLPART, **settings, device="cpu"))
+
+
+@pytest.mark.parametrize("point", NEEDS_VGN, ids=lambda p: p[1])
+def test_generator_with_an_untrained_network_keeps_its_contract(point, tmp_path):
+    pytest.importorskip("torch", reason="needs thinkgrasp[graspnet]")
+    settings = {"threshold": 0.3, "variant": "devel", "n_yaws": 1}  # an untrained network calls everything 0.5
+    generator = registry.load(
+        *point, weights=untrained_vgn(tmp_path), **(settings if point[1] == "vgn" else {"vgn": settings})
+    )  # fmt: skip
+    testing.check_generator(generator)
 
 
 def test_file_camera_keeps_its_contract(tmp_path):

@@ -9,8 +9,7 @@ import numpy as np
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.generators.lines import ContactLines, pair_lines, rim_lines
 from thinkgrasp.generators.placement import PlacementSettings, place
-from thinkgrasp.generators.surface import Float, Surface, Upright, contour_curtain, half_turn, join, seen_surface
-from thinkgrasp.geometry import voxel_downsample
+from thinkgrasp.generators.surface import Completed, Surface, Upright
 from thinkgrasp.gripper import Gripper
 from thinkgrasp.types import Grasps, Mask, Scene
 
@@ -108,24 +107,15 @@ class AntipodalGenerator:
         """Propose grasps on what lies under `crop` (H, W); camera frame, best first, empty where nothing fits."""
         masks = split_objects(scene, crop)
         batches = [self._grasps_on(scene, mask, crop, gripper, rng, len(masks)) for mask in masks]
-        batches = [b for b in batches if len(b)]
-        if not batches:
-            return Grasps.empty()
-        grasps = Grasps(
-            *(np.concatenate([getattr(b, n) for b in batches]) for n in ("rotations", "positions", "widths", "scores"))
-        )
-        return grasps[np.argsort(-grasps.scores, kind="stable")[: self.max_grasps]]
+        return Grasps.concatenate(batches)[: self.max_grasps]
 
     def _grasps_on(
         self, scene: Scene, mask: Mask, crop: Mask, gripper: Gripper, rng: np.random.Generator, n_objects: int
     ) -> Grasps:
-        seen = seen_surface(scene, mask, crop, self.max_points, self.voxel_m)
-        if seen is None:
+        surface = Completed.of(scene, mask, crop, max_points=self.max_points, voxel_m=self.voxel_m)
+        if surface is None:
             return Grasps.empty()
-        upright = Upright.of(scene, seen.points)
-        turned = half_turn(scene, seen, upright)
-        curtain = contour_curtain(scene, mask, crop, seen, upright, 120, extrapolate=turned is None)
-        whole = join([seen, *([turned] if turned is not None else []), curtain])
+        seen, whole, upright = surface.seen, surface.whole, surface.upright
 
         longest = gripper.max_width_m - 2 * self.min_clearance_m
         share = max(n_objects, 1)
@@ -146,16 +136,14 @@ class AntipodalGenerator:
         )
         if len(lines) == 0:
             return Grasps.empty()
-        obstacles = np.concatenate([_thinned(whole, 0.007), _surroundings(scene, mask, seen.points, upright, gripper)])
+        obstacles = surface.obstacles(scene, mask, gripper)
         placed = place(lines, gripper, upright, obstacles, self._placement_for(upright, seen))
         if len(placed.line) == 0:
             return Grasps.empty()
 
-        low, high = np.quantile(whole.points, 0.02, axis=0), np.quantile(whole.points, 0.98, axis=0)
-        size = max(float(np.linalg.norm(high - low)) / 2, 0.01)
-        off_centre = np.linalg.norm(lines.middle[placed.line] - (low + high) / 2, axis=1) / size
+        off_centre = surface.off_centre(lines.middle[placed.line])
         depth = np.clip(placed.engagement / (0.5 * gripper.pad_length_m), 0, 1)
-        score = lines.score[placed.line] * (1 - 0.25 * np.minimum(off_centre, 1)) * (0.75 + 0.25 * depth)
+        score = lines.score[placed.line] * (1 - 0.25 * off_centre) * (0.75 + 0.25 * depth)
         score = score * (1 - 0.15 * np.minimum(placed.tilt / np.deg2rad(60), 1))
         return Grasps(
             placed.rotations.astype(np.float32),
@@ -193,21 +181,3 @@ def split_objects(scene: Scene, crop: Mask) -> list[Mask]:
     if not masks:
         return [crop]
     return [*masks, rest] if n_rest >= max(_MIN_PIXELS * 4, 0.1 * n_crop) else masks
-
-
-def _thinned(surface: Surface, spacing_m: float) -> Float:
-    return surface.points[voxel_downsample(surface.points, spacing_m)]
-
-
-def _surroundings(scene: Scene, mask: Mask, points: Float, upright: Upright, gripper: Gripper) -> Float:
-    """Seen points (M, 3) outside `mask` that stand above the support within the gripper's reach of the object."""
-    stride = max(1, scene.frame.camera.width // 160)
-    grid = (slice(None, None, stride), slice(None, None, stride))
-    cloud, outside = scene.points[grid], ~mask[grid]
-    reach = np.float32(gripper.max_width_m + gripper.finger_thickness_m)
-    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
-    with np.errstate(invalid="ignore"):
-        near = outside & (cloud >= low).all(axis=-1) & (cloud <= high).all(axis=-1)
-    found = cloud[near]
-    found = found[upright.height(found) > 0.008]
-    return found[voxel_downsample(found, 0.007)]

@@ -71,11 +71,11 @@ def place(
     line, rotation, tilt, middle, narrow = line[fits], rotation[fits], tilt[fits], middle[fits], narrow[fits]
 
     width = narrow.copy()
-    reach = _reach(rotation, middle, width, gripper, upright, obstacles, settings)
+    reach = reach_past(rotation, middle, width, gripper, upright, obstacles, settings)
     tight = np.flatnonzero(reach < settings.min_engagement_m)
     if len(tight):
         wide = np.minimum(narrow[tight] + 0.016, widest)
-        wider = _reach(rotation[tight], middle[tight], wide, gripper, upright, obstacles, settings)
+        wider = reach_past(rotation[tight], middle[tight], wide, gripper, upright, obstacles, settings)
         width[tight], reach[tight] = wide, wider
     wanted = 0.5 * gripper.pad_length_m
     engagement = np.minimum(reach, wanted)
@@ -105,7 +105,7 @@ def _orientations(
     return line, rotation, tilt[line, k].astype(np.float32)
 
 
-def _reach(
+def reach_past(
     rotation: Float,
     middle: Float,
     width: Float,
@@ -114,7 +114,7 @@ def _reach(
     obstacles: Float,
     settings: PlacementSettings,
 ) -> Float:
-    """How far (K,) [m] the fingertips may go past the contact line along the approach; may be negative."""
+    """Return how far (K,) [m] the fingertips may go past `middle` (K, 3) along the approach; may be negative."""
     margin = np.float32(settings.body_margin_m)
     half = width / 2
     breadth, palm = gripper.finger_breadth_m / 2, gripper.palm_size_m

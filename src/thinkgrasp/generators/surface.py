@@ -15,6 +15,7 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from thinkgrasp.geometry import voxel_downsample
+from thinkgrasp.gripper import Gripper
 from thinkgrasp.types import Mask, Scene
 
 Float = NDArray[np.float32]
@@ -25,6 +26,7 @@ _CURTAIN_STEP_M = 0.006
 _CURTAIN_DEPTH_M = 0.08
 _TURN_OFFSETS_M = (0.002, 0.009)
 _MAX_ROUND_M = 0.06
+_OBSTACLE_SPACING_M = 0.007
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,52 @@ class Surface:
 
     def __len__(self) -> int:
         return len(self.points)
+
+
+@dataclass(frozen=True, eq=False)
+class Completed:
+    """One object: what was seen of it, and what can be said of the whole."""
+
+    seen: Surface
+    whole: Surface
+    upright: Upright
+
+    @classmethod
+    def of(cls, scene: Scene, mask: Mask, crop: Mask, *, max_points: int, voxel_m: float) -> Completed | None:
+        """Sample an object under `mask` and complete it; None where too little was seen. Arguments: `seen_surface`."""
+        seen = seen_surface(scene, mask, crop, max_points, voxel_m)
+        if seen is None:
+            return None
+        upright = Upright.of(scene, seen.points)
+        turned = half_turn(scene, seen, upright)
+        curtain = contour_curtain(scene, mask, crop, seen, upright, 120, extrapolate=turned is None)
+        whole = join([seen, *([turned] if turned is not None else []), curtain])
+        return cls(seen, whole, upright)
+
+    def off_centre(self, points: Float) -> Float:
+        """Return how far (N,) points (N, 3) lie from the object's middle: 0..1, 1 = half its diagonal or more."""
+        low, high = np.quantile(self.whole.points, 0.02, axis=0), np.quantile(self.whole.points, 0.98, axis=0)
+        size = max(float(np.linalg.norm(high - low)) / 2, 0.01)
+        return np.minimum(np.linalg.norm(points - (low + high) / 2, axis=1) / size, 1)
+
+    def obstacles(self, scene: Scene, mask: Mask, gripper: Gripper) -> Float:
+        """Return points (M, 3) [m], about 7 mm apart, of the object and of what stands within the gripper's reach."""
+        own = self.whole.points[voxel_downsample(self.whole.points, _OBSTACLE_SPACING_M)]
+        return np.concatenate([own, _surroundings(scene, mask, self.seen.points, self.upright, gripper)])
+
+
+def _surroundings(scene: Scene, mask: Mask, points: Float, upright: Upright, gripper: Gripper) -> Float:
+    """Seen points (M, 3) outside `mask` that stand above the support within the gripper's reach of the object."""
+    stride = max(1, scene.frame.camera.width // 160)
+    grid = (slice(None, None, stride), slice(None, None, stride))
+    cloud, outside = scene.points[grid], ~mask[grid]
+    reach = np.float32(gripper.max_width_m + gripper.finger_thickness_m)
+    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    with np.errstate(invalid="ignore"):
+        near = outside & (cloud >= low).all(axis=-1) & (cloud <= high).all(axis=-1)
+    found = cloud[near]
+    found = found[upright.height(found) > 0.008]
+    return found[voxel_downsample(found, _OBSTACLE_SPACING_M)]
 
 
 def depth_gap(scene: Scene, points: Float) -> Float:
