@@ -9,6 +9,7 @@ References:
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import partial
 
 import numpy as np
 import torch
@@ -166,23 +167,31 @@ def _pooled(mlp: GroupMLP, points: Tensor, seeds: Tensor, rotations: Tensor, ind
     """Return the largest features (S, 4, 256) of each seed's cylinders.
 
     The features of a point depend on the seed, not on the depth, and the cylinders are nested: every pair of seed and
-    point is computed once. So depths that hold the same points are equal to the last bit.
+    point is computed once, and every list of points is pooled once. So depths that hold the same points are equal to
+    the last bit.
     """
     pooled: list[Tensor] = [seeds.new_zeros(0, N_DEPTHS, 256)]
     for some, seed, rotation in zip(
         index.split(_SEEDS_PER_BLOCK, 1), seeds.split(_SEEDS_PER_BLOCK), rotations.split(_SEEDS_PER_BLOCK), strict=True
     ):
-        ordered, order = some.transpose(0, 1).flatten(1).sort(dim=1)
+        slots = some.transpose(0, 1)
+        ordered, order = slots.flatten(1).sort(dim=1)
         first = torch.ones_like(ordered, dtype=torch.bool)
         first[:, 1:] = ordered[:, 1:] != ordered[:, :-1]
         pair = (torch.cumsum(first.flatten(), 0) - 1).view_as(ordered)
-        row = first.nonzero()[:, 0]
-        point = ordered[first]
-        offsets = torch.stack(turned(points[point] - seed[row], rotation[row]), dim=1)
-        features = mlp(offsets, point)
-        where = torch.empty_like(pair).scatter_(1, order, pair)
-        pooled.append(features[where.view(len(seed), N_DEPTHS, -1)].amax(dim=2))
+        row, point = first.nonzero()[:, 0], ordered[first]
+        offsets = points.index_select(0, point) - seed.index_select(0, row)
+        local = torch.stack(turned(offsets, rotation.index_select(0, row)), dim=1)
+        new = torch.ones(slots.shape[:2], dtype=torch.bool, device=slots.device)
+        new[:, 1:] = (slots[:, 1:] != slots[:, :-1]).any(dim=2)
+        where = torch.empty_like(pair).scatter_(1, order, pair).view_as(slots)[new]
+        largest = mlp.pooled(local, point, partial(_largest_of, where=where))
+        pooled.append(largest[(torch.cumsum(new.flatten(), 0) - 1).view_as(new)])
     return torch.cat(pooled)
+
+
+def _largest_of(rows: Tensor, where: Tensor) -> Tensor:
+    return rows.index_select(0, where.flatten()).view(*where.shape, -1).amax(dim=1)
 
 
 def _grouped(points: Tensor, seeds: Tensor, rotations: Tensor, index: Tensor) -> Tensor:

@@ -11,7 +11,9 @@ References:
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor, nn
@@ -83,8 +85,19 @@ class GroupMLP:
 
     def __call__(self, offsets: Tensor, index: Tensor) -> Tensor:
         """Return features (R, out) of rows with these offsets (R, 3), and features of these points (R,) if any."""
-        base = self._base if self._shared else self._base[index]
-        return through(torch.addmm(base, offsets, self._offset_weight).relu_(), self._rest)
+        return through(self._first(offsets, index), self._rest)
+
+    def pooled(self, offsets: Tensor, index: Tensor, pool: Callable[[Tensor], Tensor]) -> Tensor:
+        """Return `pool(self(offsets, index))` for a `pool` that takes the largest of some rows.
+
+        Bias and ReLU of the last layer never change an order, so they are applied to what is left.
+        """
+        *middle, (weight, bias) = self._rest
+        return pool(through(self._first(offsets, index), middle) @ weight.T).add_(bias).relu_()
+
+    def _first(self, offsets: Tensor, index: Tensor) -> Tensor:
+        base = self._base if self._shared else self._base.index_select(0, index)
+        return torch.addmm(base, offsets, self._offset_weight).relu_()
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +140,15 @@ class SetAbstraction(nn.Module):
         pooled: list[Tensor] = []
         per_block = ROWS_PER_BLOCK // self.n_samples
         for index, center in zip(ball_idx.split(per_block), centers.split(per_block), strict=True):
-            offsets = (xyz[index] - center[:, None]) / self.radius
-            rows = mlp(offsets.flatten(0, 1), index.flatten())
-            pooled.append(rows.unflatten(0, index.shape).amax(dim=1))
+            near = xyz.index_select(0, index.flatten()).view(*index.shape, 3)
+            offsets = (near - center[:, None]) / self.radius
+            largest = partial(_largest, groups=len(index))
+            pooled.append(mlp.pooled(offsets.flatten(0, 1), index.flatten(), largest))
         return Level(inds, ball_idx, centers, torch.cat(pooled))
+
+
+def _largest(rows: Tensor, groups: int) -> Tensor:
+    return rows.view(groups, -1, rows.shape[1]).amax(dim=1)
 
 
 class FeaturePropagation(nn.Module):
@@ -149,7 +167,8 @@ class FeaturePropagation(nn.Module):
         squared, index = three_nearest(xyz, known)
         weight = 1.0 / (squared.sqrt() + 1e-8)
         weight = weight / weight.sum(dim=1, keepdim=True)
-        carried = (known_features[index] * weight[..., None]).sum(dim=1)
+        nearest = known_features.index_select(0, index.flatten()).view(*index.shape, -1)
+        carried = (nearest * weight[..., None]).sum(dim=1)
         return through(torch.cat([carried, features], dim=1), self.mlp.layers())
 
 
