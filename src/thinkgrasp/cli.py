@@ -53,6 +53,8 @@ class StageOptions:
     """Segmenter plug-in."""
     generator: Annotated[str | None, arg(metavar="NAME")] = None
     """Grasp generator plug-in."""
+    weights: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Weights of the generator's network; short for --set generator.weights=FILE."""
     set: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")] = ()
     """One setting, for example planner.grid=4 or checks.collision.voxel_m=0.002."""
     debug: bool = False
@@ -340,6 +342,8 @@ def _configure(options: StageOptions) -> PipelineConfig:
         value = getattr(options, key)
         if value is not None:
             config = override(config, key, value)
+    if options.weights is not None:
+        config = override(config, "generator.weights", str(options.weights))
     for assignment in options.set:
         config = override(config, *parse_assignment(assignment))
     return config

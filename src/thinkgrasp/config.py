@@ -65,6 +65,20 @@ class PipelineConfig:
             raise ConfigError(f"each check may occur once, got {', '.join(names)}")
 
 
+_PAPER_SEGMENTER = StageConfig("geometric")
+"""What finds the paper's targets in the image; it was LangSAM, and VLPart for parts."""
+
+
+def _as_in_the_paper(generator: str) -> PipelineConfig:
+    return PipelineConfig(
+        scene=StageConfig("geometric"),
+        planner=StageConfig("openai", {"style": "paper", "without_key": "offline"}),
+        segmenter=_PAPER_SEGMENTER,
+        generator=StageConfig(generator),
+        checks=tuple(StageConfig(name) for name in ("target", "width", "workspace", "model_free_collision", "nms")),
+    )
+
+
 PRESETS: dict[str, PipelineConfig] = {
     "offline": PipelineConfig(
         scene=StageConfig("geometric"),
@@ -76,11 +90,17 @@ PRESETS: dict[str, PipelineConfig] = {
             for name in ("target", "width", "workspace", "force_closure", "table_clearance", "collision")
         ),
     ),
+    "paper-sim": _as_in_the_paper("graspnet"),
+    "paper-real": _as_in_the_paper("fgc_graspnet"),
 }
 """What `--preset` takes. One entry per preset."""
 
 PRESET_NOTES: dict[str, str] = {
     "offline": "no network, GPU, key or download: perception and grasps from geometry, language from a rule book",
+    "paper-sim": "GPT-4o (the offline planner without a key) and GraspNet-1Billion, as the paper in simulation; needs "
+    "--weights, which are for non-commercial research only",
+    "paper-real": "GPT-4o (the offline planner without a key) and FGC-GraspNet, as the paper on its robot; needs "
+    "--weights, which are for non-commercial research only",
 }
 
 

@@ -30,7 +30,7 @@ EXTRAS: dict[str, Extra] = {
     "egl": Extra("rendering simulated frames on a GPU", True),
     "vlm": Extra("planning with GPT-4o or any server that speaks chat.completions", True),
     "langsam": Extra("masks from text by GroundingDINO and SAM", False),
-    "graspnet": Extra("the GraspNet-1Billion and FGC-GraspNet generators", False),
+    "graspnet": Extra("the GraspNet-1Billion and FGC-GraspNet generators", True),
     "server": Extra("the HTTP server and its client", False),
     "viz": Extra("following an episode in the browser (demo --live)", True),
     "rerun": Extra("recording episodes for the rerun viewer", False),

@@ -64,7 +64,7 @@ class FGCOutput(ViewOutput):
     depth_class: Tensor
     """(S,) chosen depth, less 1, in centimetres."""
     grasps: Tensor
-    """(n, 17) rows of the graspable seeds, in their order."""
+    """(n, 17) rows of the graspable seeds among S, in their order."""
 
 
 class _Attention(nn.Module):
@@ -123,19 +123,26 @@ class FGCGraspNet(GraspNetwork):
             )
 
     @torch.inference_mode()
-    def run(self, cloud: NDArray[np.floating] | Tensor, *, trace: bool = False) -> FGCOutput:
+    def run(
+        self,
+        cloud: NDArray[np.floating] | Tensor,
+        *,
+        trace: bool = False,
+        wanted: NDArray[np.bool_] | Tensor | None = None,
+    ) -> FGCOutput:
         """Find grasps on a cloud.
 
         Args:
             cloud: (N, 3) [m], camera's optical frame, in random order; the official demo samples 20,000 points.
             trace: Run the second stage on every seed, not the graspable ones alone, and keep what is large.
+            wanted: (N,) bool, points that grasps may start from; None = all.
 
         Raises:
             InputError: The cloud is empty, not finite, of another shape, or not in metres.
         """
         points = self.tensor(cloud)
         seeds = self.backbone(points)
-        views = view_output(seeds, self.vpmodule, trace=trace)
+        views = view_output(seeds, self.vpmodule, trace=trace, wanted=self.mask(wanted, points))
         rows, near = views.rows, seeds.levels[0]
         positions, rotations = views.fp2_xyz[rows], views.grasp_top_view_rot[rows]
         index = cylinder_query(

@@ -20,7 +20,8 @@ from torch import Tensor, nn
 
 from thinkgrasp.errors import ConfigError, InputError
 from thinkgrasp.networks.checkpoint import load_strictly
-from thinkgrasp.networks.pointnet2 import Backbone, Seeds, folded, through
+from thinkgrasp.networks.point_queries import ORIGIN_SQUARED_M
+from thinkgrasp.networks.pointnet2 import Seeds, folded, through
 
 N_VIEWS, N_ANGLES, N_DEPTHS = 300, 12, 4
 MAX_WIDTH_M = 0.1
@@ -140,7 +141,7 @@ class ViewOutput:
     grasp_top_view_rot: Tensor
     """(1024, 3, 3) the frame that approaches against it, not turned in its plane."""
     rows: Tensor
-    """(S,) seeds that the second stage ran on; all in a trace, the graspable ones else."""
+    """(S,) seeds that the second stage ran on: all in a trace; else the graspable ones that are wanted."""
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """Return everything that was kept as arrays, by the names above."""
@@ -148,17 +149,19 @@ class ViewOutput:
         return {name: value.cpu().numpy() for name, value in values.items() if value is not None}
 
 
-def view_output(seeds: Seeds, approach: ApproachNet, *, trace: bool) -> ViewOutput:
+def view_output(seeds: Seeds, approach: ApproachNet, *, trace: bool, wanted: Tensor | None) -> ViewOutput:
     """Choose a view for every seed.
 
     Args:
         seeds: From the backbone.
         approach: The network that judges views.
         trace: Let the second stage run on every seed.
+        wanted: (N,) bool, the points of the cloud that a seed of the second stage may be; None = all.
     """
     out = approach(seeds.fp2_features)
     objectness, scores = out[:, :2], out[:, 2:]
     graspable = objectness.argmax(dim=1) == 1
+    chosen = graspable if wanted is None else graspable & wanted[seeds.inds]
     best = scores.argmax(dim=1)
     directions = torch.from_numpy(view_directions()).to(out.device)[best]
     levels = {
@@ -179,7 +182,7 @@ def view_output(seeds: Seeds, approach: ApproachNet, *, trace: bool) -> ViewOutp
         grasp_top_view_score=scores.gather(1, best[:, None])[:, 0],
         grasp_top_view_xyz=directions,
         grasp_top_view_rot=approach_rotations(-directions, torch.zeros(len(best), device=out.device)),
-        rows=torch.arange(len(best), device=out.device) if trace else graspable.nonzero()[:, 0],
+        rows=torch.arange(len(best), device=out.device) if trace else chosen.nonzero()[:, 0],
     )
 
 
@@ -215,7 +218,8 @@ class GraspNetwork(nn.Module):
         """Return a cloud (N, 3) [m] as the network takes it, on its device.
 
         Raises:
-            InputError: It has another shape, no point, a point that is not finite, or one farther away than 100 m.
+            InputError: It has another shape, no point, a point that is not finite, or one farther away than 100 m; or
+                all of it lies about the origin.
         """
         device = next(self.parameters()).device
         points = torch.as_tensor(cloud).to(device=device, dtype=torch.float32)
@@ -229,4 +233,22 @@ class GraspNetwork(nn.Module):
                 f"{self.what}: a coordinate of the cloud is {largest:g} m, at most {MAX_COORDINATE_M:g} m are allowed; "
                 "are these millimetres? Give metres, in the camera's optical frame"
             )
+        if float(points.square().sum(dim=1).max()) <= ORIGIN_SQUARED_M:
+            raise InputError(
+                f"{self.what}: the whole cloud lies within 3.16 cm of the origin, where points are left out; "
+                "give metres, in the camera's optical frame, not about the object"
+            )
         return points.contiguous()
+
+    def mask(self, wanted: NDArray[np.bool_] | Tensor | None, cloud: Tensor) -> Tensor | None:
+        """Return a mask of points (N,) as the network takes it.
+
+        Raises:
+            InputError: It is not boolean, or not as long as the cloud.
+        """
+        if wanted is None:
+            return None
+        mask = torch.as_tensor(wanted)
+        if mask.shape != cloud.shape[:1] or mask.dtype != torch.bool:
+            raise InputError(f"{self.what}: wanted must be ({len(cloud)},) bool, got {tuple(mask.shape)} {mask.dtype}")
+        return mask.to(cloud.device)

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from thinkgrasp.errors import InputError
 
-_SKIPPED_SQUARED_M = 1e-3
+ORIGIN_SQUARED_M = 1e-3
 """Furthest-point sampling leaves out points whose squared distance from the frame's origin is no larger."""
 _FAR = 1e10
 _THREADS = 512
@@ -46,7 +46,7 @@ def furthest_points(points: Tensor, count: int) -> Tensor:
     _check_points(points)
     squared = _squared(points.T)
     order = _tie_order(len(points), points.device)
-    order = order[squared[order].double() > _SKIPPED_SQUARED_M]
+    order = order[squared[order].double() > ORIGIN_SQUARED_M]
     if len(order) == 0:
         return torch.zeros(count, dtype=torch.long, device=points.device)
     pick = _picks_on_cpu if points.device.type == "cpu" else _picks_on_device

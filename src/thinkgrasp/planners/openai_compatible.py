@@ -6,6 +6,7 @@ where need be, or the offline planner's; `Plan.degraded` says which and why.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -19,7 +20,7 @@ from thinkgrasp.planners.parsing import PlanParseError, parse_reply
 from thinkgrasp.planners.prompts import Prompt, marks_prompt, paper_prompt, to_frame
 from thinkgrasp.planners.vlm.accounting import PriceList, Spending
 from thinkgrasp.planners.vlm.cassette import Recording, Replay
-from thinkgrasp.planners.vlm.chat import Answer, Chat, Detail, Question, Unanswered
+from thinkgrasp.planners.vlm.chat import Answer, Chat, Detail, Mute, Question, Unanswered
 from thinkgrasp.planners.vlm.patience import Backoff, CircuitBreaker
 from thinkgrasp.planners.vlm.support import UnsupportedPlan, check_box, freed, on_scene
 from thinkgrasp.types import Degradation, Plan, Scene, Usage
@@ -57,6 +58,7 @@ class OpenAIPlanner:
         record: Cassette to write every question and answer to.
         replay: Cassette to answer from, without a network or a key.
         fallback: Plan with the offline planner where the model gives no usable plan; else such a plan is not `found`.
+        without_key: "offline" = where no API key is set, ask no model: every plan is the fallback's, and says so.
         search: Where the fallback looks for a goal that is not seen, as in OfflinePlanner.
         temperature: Of the model's sampling; None = the server's own.
         seed: Of the random part of waits.
@@ -90,6 +92,7 @@ class OpenAIPlanner:
         record: str | Path | None = None,
         replay: str | Path | None = None,
         fallback: bool = True,
+        without_key: Literal["error", "offline"] = "error",
         search: Search = "piles",
         temperature: float | None = 0,
         seed: int = 0,
@@ -99,6 +102,7 @@ class OpenAIPlanner:
         _require(isinstance(model, str) and bool(model.strip()), f"model must name a model, got {model!r}")
         _require(style in get_args(Style), f"style must be one of {', '.join(get_args(Style))}, got {style!r}")
         _require(detail in get_args(Detail), f"detail must be one of {', '.join(get_args(Detail))}, got {detail!r}")
+        _require(without_key in ("error", "offline"), f"without_key must be error or offline, got {without_key!r}")
         _within("grid", grid, 1, 15, whole=True)
         _within("image_width", image_width, 64, 4096, whole=True, optional=True)
         _within("request_timeout_s", request_timeout_s, 0.001, 3600)
@@ -131,6 +135,10 @@ class OpenAIPlanner:
             )
         if replay is not None:
             self._chat: Chat = Replay(replay)
+            return
+        key_name = key_env or (None if base_url is not None else "OPENAI_API_KEY")
+        if without_key == "offline" and key_file is None and key_name is not None and key_name not in os.environ:
+            self._chat = Mute(f"no model is asked, as the environment variable {key_name} with its API key is not set")
             return
         self._chat = _server(
             base_url=base_url,
