@@ -194,8 +194,7 @@ def _first_hits(
 ) -> Tensor:
     """Scan the points block by block until every centre has its hits in every layer.
 
-    Pairs within about `reach` come from a matrix product, with room for its rounding; `hits` decides on each of them
-    exactly.
+    Pairs within about `reach` come first, with room for rounding; `hits` decides on each of them exactly.
 
     Args:
         points: (N, 3).
@@ -244,14 +243,15 @@ class _NearPairs:
         self._limit = reach * reach * (1 + 1e-5) + 4e-6 * (spread + reach * largest)
         self._left = torch.cat([self._centers, squares[1], torch.ones_like(squares[1])], dim=1)
         self._right = torch.cat([-2 * self._points, torch.ones_like(squares[0]), squares[0]], dim=1)
+        self._by_product = points.device.type == "cpu"  # elsewhere, a product may run in reduced precision
 
     def within(self, rows: Tensor, block: slice) -> tuple[Tensor, Tensor]:
         """Return centre indices (K,), ascending, and point indices (K,), ascending for each of them."""
-        if self._points.device.type == "cpu":
+        if self._by_product:
             rough = self._left[rows] @ self._right[block].T
             # numpy compares and collects several times faster than torch does on a processor.
             pair = torch.from_numpy(np.flatnonzero(rough.numpy() <= np.float32(self._limit)))
-        else:  # there, a product may run in reduced precision
+        else:
             mode = "donot_use_mm_for_euclid_dist"
             rough = torch.cdist(self._centers[rows], self._points[block], compute_mode=mode).square_()
             pair = (rough <= self._limit).flatten().nonzero()[:, 0]
