@@ -31,7 +31,9 @@ def measured(data, voxel_m: float, approach_m: float):
 def test_golden(net):
     data = np.load(GOLDEN / f"golden_{net}.npz")
     voxels = averaged_voxels(data["cloud"], 0.01)
-    assert np.array_equal(voxels[np.lexsort(voxels.T)], data["voxel_points_0p01"][np.lexsort(data["voxel_points_0p01"].T)])
+    assert np.array_equal(
+        voxels[np.lexsort(voxels.T)], data["voxel_points_0p01"][np.lexsort(data["voxel_points_0p01"].T)]
+    )
     found = measured(data, 0.01, 0.05)
     np.testing.assert_allclose(found.parts, data["collision_ious"], rtol=0, atol=1e-6)
     assert np.array_equal(found.parts[0] > 0.01, data["collision_mask"])
@@ -71,7 +73,7 @@ EYE = np.eye(3)[None]
 @pytest.mark.parametrize("depth", [0.0, 0.04])
 def test_each_part_is_where_it_should_be(point, part, depth):
     seed = np.array([[0.1, 0.2, 0.5]])
-    tip = seed + [[depth, 0, 0]]
+    tip = seed + np.array([[depth, 0, 0]])
     found = occupancy(tip + np.array([point]), EYE, seed, np.array([0.04]), np.array([depth]), 0.01, 0.05)
     full = np.flatnonzero(found.parts[:, 0] > 0)
     assert full.tolist() == ([] if part is None else [0, part])

@@ -27,9 +27,11 @@ def registered(kind: registry.Kind) -> list[str]:
 
 
 ASKS_A_SERVER = ("planner", "openai")
+CLOUD_NETWORKS = {("generator", "graspnet"): "graspnet", ("generator", "fgc_graspnet"): "fgc"}
+SPECIAL = {ASKS_A_SERVER, *CLOUD_NETWORKS}
 
 
-@pytest.mark.parametrize(("kind", "name"), [(k, n) for k in STAGES for n in registered(k) if (k, n) != ASKS_A_SERVER])
+@pytest.mark.parametrize(("kind", "name"), [(k, n) for k in STAGES for n in registered(k) if (k, n) not in SPECIAL])
 def test_stage_keeps_its_contract(kind, name):
     STAGES[kind](registry.load(kind, name))
 
@@ -39,6 +41,15 @@ def test_planner_without_its_server_keeps_its_contract():
     planner = registry.load(*ASKS_A_SERVER, base_url=dead_url(), retries=0)
     testing.check_planner(planner, deterministic=False)
     planner.close()
+
+
+@pytest.mark.parametrize(("kind", "name"), CLOUD_NETWORKS)
+def test_generator_with_random_weights_keeps_its_contract(kind, name, tmp_path):
+    pytest.importorskip("torch", reason="needs thinkgrasp[graspnet]")
+    from fakes.grasp_networks import random_weights, save
+
+    weights = save(tmp_path / "weights.tar", random_weights(CLOUD_NETWORKS[kind, name]))
+    testing.check_generator(registry.load(kind, name, weights=weights, device="cpu", num_point=2048))
 
 
 def test_file_camera_keeps_its_contract(tmp_path):

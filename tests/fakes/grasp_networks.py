@@ -59,7 +59,7 @@ def table_cloud(n: int, seed: int = 0) -> np.ndarray:
     table = np.column_stack([rng.uniform(-0.25, 0.25, (n, 2)), np.full(n, 0.6)])
     ball = rng.normal(size=(n, 3))
     ball = 0.04 * ball / np.linalg.norm(ball, axis=1, keepdims=True) * [1, 1, -1] + [0.05, 0.0, 0.56]
-    box = np.column_stack([rng.uniform(-0.03, 0.03, (n, 2)) + [-0.1, 0.05], np.full(n, 0.55)])
+    box = np.column_stack([rng.uniform([-0.13, 0.02], [-0.07, 0.08], (n, 2)), np.full(n, 0.55)])
     kind = rng.choice(3, n, p=[0.6, 0.25, 0.15])
     cloud = np.choose(kind[:, None], [table, ball, box])
     return (cloud + rng.normal(0, 0.0005, (n, 3))).astype(np.float32)

@@ -32,7 +32,9 @@ SUBSETS = {
     "grouped_shape": lambda found, data: np.array([1, *found["grouped"].shape]),
     "cylinder_idx": lambda found, data: found["cylinder_idx"],
 }
-ELSEWHERE = re.compile(r"w/|margin_|collision|empty_mask|nms_|voxel_|cloud|meta|sub_seeds|crop_sub_seeds|\w+_features_cols")
+ELSEWHERE = re.compile(
+    r"w/|margin_|collision|empty_mask|nms_|voxel_|cloud|meta|sub_seeds|crop_sub_seeds|\w+_features_cols"
+)
 """Inputs, and what tests/checks/ compares."""
 
 
@@ -41,7 +43,9 @@ def traced(name: str) -> dict[str, np.ndarray]:
     """Run the page's snippet on the golden data; it is the call for any other set of such data as well."""
     (snippet,) = re.findall(r"```python\n(# Every named intermediate.*?)```", DOCS.read_text(), re.DOTALL)
     if name == "fgc":
-        snippet = snippet.replace("graspnet import GraspNet", "fgc_graspnet import FGCGraspNet").replace("GraspNet.f", "FGCGraspNet.f")
+        snippet = snippet.replace("graspnet import GraspNet", "fgc_graspnet import FGCGraspNet").replace(
+            "GraspNet.f", "FGCGraspNet.f"
+        )
     names: dict[str, object] = {"GOLDEN": str(GOLDEN / f"golden_{name}.npz")}
     exec(compile(snippet, DOCS.name, "exec"), names)
     return names["found"]  # type: ignore[return-value]
@@ -77,7 +81,7 @@ def test_golden(name, key):
 @needs_golden
 @pytest.mark.parametrize("name", NETWORKS)
 def test_decoded_rows_are_equal(name):
-    """Every row, those with an exact tie of depths included: the same angle, depth, and so rotation, to the last bit."""
+    """Every row, those with an exact tie of depths included: angle, depth and so rotation are the same."""
     found, expected = traced(name)["grasps"], golden(name)["grasps"]
     assert np.array_equal(found[:, 2:], expected[:, 2:])
     np.testing.assert_allclose(found[:, :2], expected[:, :2], rtol=0, atol=1e-4)

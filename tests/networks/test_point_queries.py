@@ -137,7 +137,9 @@ def test_queries_equal_a_direct_search(name, by_product, monkeypatch):
         found = ball_query(tensor(cloud), tensor(centers), radius, count).numpy()
         assert np.array_equal(found, first_hits(squared < F32(radius) * F32(radius), count))
     R = np.linalg.qr(rng.normal(size=(len(centers), 3, 3)))[0].astype(F32)
-    x, y, z = ((R[:, None, 1, i] * d[..., 1] + R[:, None, 0, i] * d[..., 0]) + R[:, None, 2, i] * d[..., 2] for i in range(3))
+    x, y, z = (
+        (R[:, None, 1, i] * d[..., 1] + R[:, None, 0, i] * d[..., 0]) + R[:, None, 2, i] * d[..., 2] for i in range(3)
+    )
     beside = (y * y + z * z < F32(0.05) * F32(0.05)) & (x > F32(-0.02))
     found = cylinder_query(tensor(cloud), tensor(centers), tensor(R), 0.05, -0.02, [0.01, 0.04], 16).numpy()
     for layer, high in zip(found, (0.01, 0.04), strict=True):

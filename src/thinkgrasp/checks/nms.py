@@ -66,9 +66,7 @@ class SuppressionCheck:
         ConfigError: A limit is negative or not finite.
     """
 
-    def __init__(
-        self, *, distance_m: float = DISTANCE_M, angle_deg: float = ANGLE_DEG, half_turn: bool = True
-    ) -> None:
+    def __init__(self, *, distance_m: float = DISTANCE_M, angle_deg: float = ANGLE_DEG, half_turn: bool = True) -> None:
         if not (0 <= distance_m < 10 and 0 <= angle_deg <= 180):
             raise ConfigError(
                 f"nms: need 0 <= distance_m < 10 and 0 <= angle_deg <= 180, got {distance_m} and {angle_deg}"

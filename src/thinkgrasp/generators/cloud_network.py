@@ -48,8 +48,8 @@ class Network(Protocol):
 class CloudNetworkGenerator(ABC):
     """Propose grasps with a network on the cloud about the crop.
 
-    The network sees the workspace as far as `margin_m` around the crop, with the table and the neighbours in it, thinned
-    at random to `num_point` points; grasps count whose seed lies on the crop.
+    The network sees the workspace as far as `margin_m` around the crop, with the table and the neighbours in it,
+    thinned at random to `num_point` points; grasps count whose seed lies on the crop.
 
     Args:
         weights: The official checkpoint, or any file of its state dict; see docs/grasp_networks.md for where it is
@@ -195,7 +195,7 @@ def to_grasps(rows: Array, scores: Array, gripper: Gripper) -> Grasps:
     fits = (width < MAX_WIDTH_M) & (width / WIDTH_MARGIN <= largest)
     return Grasps(
         np.stack([closing, across, approach], axis=2),
-        rows[:, 13:16] + rows[:, 3:4] * approach,
+        (rows[:, 13:16] + rows[:, 3:4] * approach).astype(np.float32),
         np.where(fits, np.minimum(width, largest), width),
         scores,
     )

@@ -23,8 +23,8 @@ class FGCGraspNetGenerator(CloudNetworkGenerator):
 
     name = "fgc_graspnet"
     source = (
-        "the RealSense checkpoint that the README of https://github.com/luyh20/FGC-GraspNet links; it states no licence "
-        "and derives from graspnet-baseline, so it is for non-commercial research only"
+        "the RealSense checkpoint that the README of https://github.com/luyh20/FGC-GraspNet links; it states no "
+        "licence and derives from graspnet-baseline, so it is for non-commercial research only"
     )
 
     @staticmethod

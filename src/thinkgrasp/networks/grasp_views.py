@@ -101,7 +101,7 @@ class ApproachNet(Head):
 
 @dataclass(frozen=True, eq=False)
 class ViewOutput:
-    """Every intermediate up to the views, channel first, named as in the golden data; n_1..n_4 = 2048, 1024, 512, 256."""
+    """Every intermediate up to the views, channel first; names as in the golden data, n_1 = 2048."""
 
     sa1_inds: Tensor
     """(n_1,) points picked, as indices into the cloud; for sa2 to sa4, into the points of the level before."""
@@ -224,7 +224,9 @@ class GraspNetwork(nn.Module):
         device = next(self.parameters()).device
         points = torch.as_tensor(cloud).to(device=device, dtype=torch.float32)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
-            raise InputError(f"{self.what}: the cloud must be (N, 3) with at least one point, got {tuple(points.shape)}")
+            raise InputError(
+                f"{self.what}: the cloud must be (N, 3) with at least one point, got {tuple(points.shape)}"
+            )
         largest = float(points.abs().max())
         if not np.isfinite(largest):
             raise InputError(f"{self.what}: the cloud holds coordinates that are not finite; leave such points out")

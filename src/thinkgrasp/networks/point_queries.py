@@ -105,7 +105,7 @@ def ball_query(points: Tensor, centers: Tensor, radius: float, count: int) -> Te
     Returns:
         Indices (M, count) int64.
     """
-    limit = np.float32(radius) * np.float32(radius)
+    limit = float(np.float32(radius) * np.float32(radius))
 
     def hits(row: Tensor, column: Tensor) -> list[Tensor]:
         return [_squared((points.index_select(0, column) - centers.index_select(0, row)).T) < limit]
@@ -130,14 +130,13 @@ def cylinder_query(
     Returns:
         Indices (D, M, count) int64.
     """
-    limit = np.float32(radius) * np.float32(radius)
+    limit = float(np.float32(radius) * np.float32(radius))
+    least, mosts = float(np.float32(low)), [float(np.float32(high)) for high in highs]
 
     def hits(row: Tensor, column: Tensor) -> list[Tensor]:
-        x, y, z = turned(
-            points.index_select(0, column) - centers.index_select(0, row), rotations.index_select(0, row)
-        )
-        inside = (y * y + z * z < limit) & (x > np.float32(low))
-        return [inside & (x < np.float32(high)) for high in highs]
+        x, y, z = turned(points.index_select(0, column) - centers.index_select(0, row), rotations.index_select(0, row))
+        inside = (y * y + z * z < limit) & (x > least)
+        return [inside & (x < most) for most in mosts]
 
     reach = float(np.hypot(radius, max(abs(low), *(abs(h) for h in highs))))
     return _first_hits(points, centers, reach, count, len(highs), hits)
@@ -250,7 +249,7 @@ class _NearPairs:
         if self._by_product:
             rough = self._left[rows] @ self._right[block].T
             # numpy compares and collects several times faster than torch does on a processor.
-            pair = torch.from_numpy(np.flatnonzero(rough.numpy() <= np.float32(self._limit)))
+            pair = torch.from_numpy(np.flatnonzero(rough.numpy() <= self._limit))
         else:
             mode = "donot_use_mm_for_euclid_dist"
             rough = torch.cdist(self._centers[rows], self._points[block], compute_mode=mode).square_()

@@ -14,6 +14,8 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -26,10 +28,9 @@ ROWS_PER_BLOCK = 8192
 
 def folded(layer: nn.Conv1d | nn.Conv2d, norm: nn.BatchNorm1d | nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
     """Return weight (out, in) and bias (out,) of a 1x1 convolution followed by this normalisation, as one layer."""
-    assert norm.running_mean is not None
-    assert norm.running_var is not None
-    scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
-    bias = norm.bias - norm.running_mean * scale
+    mean, variance = cast(Tensor, norm.running_mean), cast(Tensor, norm.running_var)
+    scale = norm.weight / torch.sqrt(variance + norm.eps)
+    bias = norm.bias - mean * scale
     if layer.bias is not None:
         bias = bias + layer.bias * scale
     return layer.weight.flatten(1) * scale[:, None], bias
@@ -41,6 +42,9 @@ class _Layer(nn.Module):
         self.conv = nn.Conv2d(n_in, n_out, 1, bias=False)
         self.bn = nn.Sequential(OrderedDict(bn=nn.BatchNorm2d(n_out)))
 
+    def folded(self) -> tuple[Tensor, Tensor]:
+        return folded(self.conv, cast(nn.BatchNorm2d, self.bn[0]))
+
 
 class SharedMLP(nn.Module):
     """Layers of 1x1 convolution, batch normalisation and ReLU, the same for every point.
@@ -51,12 +55,12 @@ class SharedMLP(nn.Module):
 
     def __init__(self, widths: tuple[int, ...]) -> None:
         super().__init__()
-        for i, (n_in, n_out) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
+        for i, (n_in, n_out) in enumerate(pairwise(widths)):
             self.add_module(f"layer{i}", _Layer(n_in, n_out))
 
     def layers(self) -> list[tuple[Tensor, Tensor]]:
         """Return weight (out, in) and bias (out,) of every layer, normalisation folded in."""
-        return [folded(layer.conv, layer.bn.bn) for layer in self.children() if isinstance(layer, _Layer)]
+        return [layer.folded() for layer in self.children() if isinstance(layer, _Layer)]
 
 
 def through(rows: Tensor, layers: list[tuple[Tensor, Tensor]]) -> Tensor:
