@@ -252,6 +252,11 @@ def test_another_networks_weights_are_refused(name, other, tmp_path):
         NETWORKS[name].from_weights(read_checkpoint(path, what=name))
     with pytest.raises(ConfigError, match="1 tensors have no place in it, among them extra"):
         NETWORKS[name].from_weights({**random_weights(name), "extra": torch.zeros(1)})
+    broken = random_weights(name)
+    key = next(iter(broken))
+    broken[key][0] = float("nan")
+    with pytest.raises(ConfigError, match=f"1 tensors hold values that are not finite, such as {key}"):
+        NETWORKS[name].from_weights(broken)
 
 
 ODD_CLOUDS = {
@@ -295,6 +300,7 @@ def test_a_wrong_mask_is_named():
 
 def test_the_same_cloud_gives_the_same_rows_and_stays_as_it_is():
     cloud = table_cloud(2500)
+    cloud.flags.writeable = False
     before = cloud.copy()
     network = fgc_graspnet.FGCGraspNet.from_weights(random_weights("fgc"))
     assert torch.equal(network.run(cloud).grasps, network.run(cloud).grasps)

@@ -199,7 +199,7 @@ class GraspNetwork(nn.Module):
         """Return the network with these weights, ready to run.
 
         Raises:
-            ConfigError: They are another model's; the message says which names or shapes differ.
+            ConfigError: They are another model's, whose names or shapes the message tells, or not finite.
         """
         network = cls()
         unused = load_strictly(network, weights, what=cls.what, optional=cls.optional)
@@ -208,6 +208,9 @@ class GraspNetwork(nn.Module):
                 f"{cls.what}: these are weights of another model: {len(unused)} tensors have no place in it, "
                 f"among them {unused[0]}"
             )
+        broken = [name for name, value in network.state_dict().items() if not value.isfinite().all()]
+        if broken:
+            raise ConfigError(f"{cls.what}: {len(broken)} tensors hold values that are not finite, such as {broken[0]}")
         network.check_weights(weights)
         return network.eval().requires_grad_(False).to(device)
 
@@ -222,7 +225,9 @@ class GraspNetwork(nn.Module):
                 all of it lies about the origin.
         """
         device = next(self.parameters()).device
-        points = torch.as_tensor(cloud).to(device=device, dtype=torch.float32)
+        if not isinstance(cloud, Tensor):
+            cloud = torch.from_numpy(np.array(cloud, np.float32))
+        points = cloud.to(device=device, dtype=torch.float32)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
             raise InputError(
                 f"{self.what}: the cloud must be (N, 3) with at least one point, got {tuple(points.shape)}"
@@ -250,7 +255,7 @@ class GraspNetwork(nn.Module):
         """
         if wanted is None:
             return None
-        mask = torch.as_tensor(wanted)
+        mask = wanted if isinstance(wanted, Tensor) else torch.from_numpy(np.array(wanted))
         if mask.shape != cloud.shape[:1] or mask.dtype != torch.bool:
             raise InputError(f"{self.what}: wanted must be ({len(cloud)},) bool, got {tuple(mask.shape)} {mask.dtype}")
         return mask.to(cloud.device)
