@@ -97,12 +97,12 @@ class Straightforward:
 
 
 def _furthest(xyz: Tensor, count: int) -> Tensor:
-    points = xyz.numpy()
-    eligible = (points**2).sum(axis=1) > 1e-3
-    far = np.where(eligible, np.float32(1e10), np.float32(-1))
+    x, y, z = (np.ascontiguousarray(axis) for axis in xyz.numpy().T)
+    far = np.where(x * x + y * y + z * z > 1e-3, np.float32(1e10), np.float32(-1))
     picked = np.zeros(count, np.int64)
     for i in range(1, count):
-        far = np.minimum(far, ((points - points[picked[i - 1]]) ** 2).sum(axis=1))
+        k = picked[i - 1]
+        far = np.minimum(far, (x - x[k]) ** 2 + (y - y[k]) ** 2 + (z - z[k]) ** 2)
         picked[i] = far.argmax()
     return torch.from_numpy(picked)
 
@@ -120,16 +120,20 @@ def _first(hit: np.ndarray, count: int) -> np.ndarray:
 def _ball(xyz: Tensor, centers: Tensor, radius: float, count: int) -> Tensor:
     rows = []
     for some in centers.split(128):
-        d = xyz[None] - some[:, None]
-        rows.append(_first((d.square().sum(dim=2) < radius**2).numpy(), count))
+        x, y, z = (xyz[:, axis] - some[:, axis : axis + 1] for axis in range(3))
+        rows.append(_first((x * x + y * y + z * z < radius**2).numpy(), count))
     return torch.from_numpy(np.concatenate(rows))
 
 
 def _cylinder(xyz: Tensor, centers: Tensor, rotations: Tensor, high: float, count: int) -> Tensor:
     rows = []
     for some, rotation in zip(centers.split(128), rotations.split(128), strict=True):
-        local = torch.matmul(xyz[None] - some[:, None], rotation)
-        inside = (local[..., 1:].square().sum(dim=2) < 0.05**2) & (local[..., 0] > -0.02) & (local[..., 0] < high)
+        d = [xyz[:, axis] - some[:, axis : axis + 1] for axis in range(3)]
+        x, y, z = (
+            rotation[:, 0, a, None] * d[0] + rotation[:, 1, a, None] * d[1] + rotation[:, 2, a, None] * d[2]
+            for a in range(3)
+        )
+        inside = (y * y + z * z < 0.05**2) & (x > -0.02) & (x < high)
         rows.append(_first(inside.numpy(), count))
     return torch.from_numpy(np.concatenate(rows))
 
