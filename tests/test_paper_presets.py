@@ -86,6 +86,9 @@ def test_a_key_that_is_set_is_used(files, monkeypatch):
     monkeypatch.delenv("OPENAI_API_KEY")
     with pytest.raises(ConfigError, match="key_file"):
         make_pipeline("paper-sim", **overrides, **{"planner.key_file": "/nowhere"})
+    with pytest.raises(ConfigError, match="not the key itself") as error:
+        make_pipeline("paper-sim", **overrides, **{"planner.key_env": "sk-secret"})
+    assert "sk-secret" not in str(error.value)
     with pytest.raises(ConfigError, match="without_key must be"):
         make_pipeline("paper-sim", **overrides, **{"planner.without_key": "never"})
     with pytest.raises(ConfigError, match="OPENAI_API_KEY is not set"):

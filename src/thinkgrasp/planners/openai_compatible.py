@@ -58,7 +58,8 @@ class OpenAIPlanner:
         record: Cassette to write every question and answer to.
         replay: Cassette to answer from, without a network or a key.
         fallback: Plan with the offline planner where the model gives no usable plan; else such a plan is not `found`.
-        without_key: "offline" = where no API key is set, ask no model: every plan is the fallback's, and says so.
+        without_key: "offline" = where no key or server is named and OPENAI_API_KEY is not set, ask no model: every
+            plan is the fallback's, and says so.
         search: Where the fallback looks for a goal that is not seen, as in OfflinePlanner.
         temperature: Of the model's sampling; None = the server's own.
         seed: Of the random part of waits.
@@ -136,9 +137,9 @@ class OpenAIPlanner:
         if replay is not None:
             self._chat: Chat = Replay(replay)
             return
-        key_name = key_env or (None if base_url is not None else "OPENAI_API_KEY")
-        if without_key == "offline" and key_file is None and key_name is not None and key_name not in os.environ:
-            self._chat = Mute(f"no model is asked, as the environment variable {key_name} with its API key is not set")
+        unnamed = base_url is None and key_env is None and key_file is None
+        if without_key == "offline" and unnamed and "OPENAI_API_KEY" not in os.environ:
+            self._chat = Mute("no model is asked, as the environment variable OPENAI_API_KEY is not set")
             return
         self._chat = _server(
             base_url=base_url,
