@@ -59,6 +59,8 @@ class StageOptions:
     """Keep what a planner asks of its model, and the replies, in this cassette."""
     replay: Annotated[Path | None, arg(metavar="FILE")] = None
     """Answer such a planner from this cassette, without a network or a key."""
+    weights: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Weights of the generator's network; short for --set generator.weights=FILE."""
     set: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")] = ()
     """One setting, for example planner.grid=4 or checks.collision.voxel_m=0.002."""
     debug: bool = False
@@ -355,6 +357,8 @@ def _configure(options: StageOptions) -> PipelineConfig:
                     "add --preset vlm or --planner openai"
                 )
             config = override(config, f"planner.{name}", str(value))
+    if options.weights is not None:
+        config = override(config, "generator.weights", str(options.weights))
     for assignment in options.set:
         config = override(config, *parse_assignment(assignment))
     return config

@@ -80,11 +80,27 @@ def _asking(style: str, **settings: object) -> StageConfig:
     return StageConfig("openai", {"style": style, **settings})
 
 
+_PAPER_SEGMENTER = StageConfig("geometric")
+"""What finds the paper's targets in the image; it was LangSAM, and VLPart for parts: the segmenter `cascade`."""
+
+
+def _as_in_the_paper(generator: str, **planner: object) -> PipelineConfig:
+    return PipelineConfig(
+        scene=StageConfig("geometric"),
+        planner=_asking("paper", without_key="offline", **planner),
+        segmenter=_PAPER_SEGMENTER,
+        generator=StageConfig(generator),
+        checks=tuple(StageConfig(name) for name in ("target", "width", "workspace", "model_free_collision", "nms")),
+    )
+
+
 PRESETS: dict[str, PipelineConfig] = {
     "offline": _OFFLINE,
     "learned": replace(_OFFLINE, generator=StageConfig("vgn_antipodal")),
     "vlm": replace(_OFFLINE, planner=_asking("marks")),
     "vlm-paper": replace(_OFFLINE, planner=_asking("paper")),
+    "paper-sim": _as_in_the_paper("graspnet"),
+    "paper-real": _as_in_the_paper("fgc_graspnet", image_width=640),
     "no-vlm": replace(_OFFLINE, planner=StageConfig("literal")),
     "no-grid": replace(_OFFLINE, planner=_asking("paper", grid=1)),
     "vlm-crop": replace(_OFFLINE, planner=_asking("paper"), segmenter=StageConfig("plan_box")),
@@ -105,6 +121,10 @@ PRESET_NOTES: dict[str, str] = {
     "grid-2": "ablation of vlm-paper: a grid of 2 x 2",
     "grid-3": "the same as vlm-paper, whose grid is 3 x 3",
     "grid-4": "ablation of vlm-paper: a grid of 4 x 4",
+    "paper-sim": "GPT-4o (the offline planner without a key) and GraspNet-1Billion, as the paper in simulation; needs "
+    "--weights, which are for non-commercial research only",
+    "paper-real": "GPT-4o (the offline planner without a key) and FGC-GraspNet, as the paper on its robot; needs "
+    "--weights, which are for non-commercial research only",
 }
 
 

@@ -30,7 +30,7 @@ EXTRAS: dict[str, Extra] = {
     "egl": Extra("rendering simulated frames on a GPU", True),
     "vlm": Extra("planning with GPT-4o or any server that speaks chat.completions", True),
     "langsam": Extra("masks from text by GroundingDINO and SAM", False),
-    "graspnet": Extra("the VGN generator; later GraspNet-1Billion and FGC-GraspNet", True),
+    "graspnet": Extra("the generators VGN, GraspNet-1Billion and FGC-GraspNet", True),
     "server": Extra("the HTTP server and its client", False),
     "viz": Extra("following an episode in the browser (demo --live)", True),
     "rerun": Extra("recording episodes for the rerun viewer", False),

@@ -30,7 +30,8 @@ def registered(kind: registry.Kind) -> list[str]:
 ASKS_A_SERVER = ("planner", "openai")
 VLPART = ("segmenter", "vlpart")
 NEEDS_VGN = (("generator", "vgn"), ("generator", "vgn_antipodal"))
-SPECIAL = {ASKS_A_SERVER, VLPART, *NEEDS_VGN}
+CLOUD_NETWORKS = {("generator", "graspnet"): "graspnet", ("generator", "fgc_graspnet"): "fgc"}
+SPECIAL = {ASKS_A_SERVER, VLPART, *NEEDS_VGN, *CLOUD_NETWORKS}
 
 
 @pytest.mark.parametrize(("kind", "name"), [(k, n) for k in STAGES for n in registered(k) if (k, n) not in SPECIAL])
@@ -62,6 +63,15 @@ def test_generator_with_an_untrained_network_keeps_its_contract(point, tmp_path)
         *point, weights=untrained_vgn(tmp_path), **(settings if point[1] == "vgn" else {"vgn": settings})
     )  # fmt: skip
     testing.check_generator(generator)
+
+
+@pytest.mark.parametrize(("kind", "name"), CLOUD_NETWORKS)
+def test_generator_with_random_weights_keeps_its_contract(kind, name, tmp_path):
+    pytest.importorskip("torch", reason="needs thinkgrasp[graspnet]")
+    from fakes.grasp_networks import random_weights, save
+
+    weights = save(tmp_path / "weights.tar", random_weights(CLOUD_NETWORKS[kind, name]))
+    testing.check_generator(registry.load(kind, name, weights=weights, device="cpu", num_point=2048))
 
 
 def test_file_camera_keeps_its_contract(tmp_path):

@@ -6,6 +6,7 @@ where need be, or the offline planner's; `Plan.degraded` says which and why.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -19,7 +20,7 @@ from thinkgrasp.planners.parsing import PlanParseError, parse_reply
 from thinkgrasp.planners.prompts import Prompt, Style, marks_prompt, paper_prompt, point_prompt, to_frame
 from thinkgrasp.planners.vlm.accounting import PriceList, Spending
 from thinkgrasp.planners.vlm.cassette import Recording, Replay
-from thinkgrasp.planners.vlm.chat import Answer, Chat, Detail, Question, Unanswered
+from thinkgrasp.planners.vlm.chat import Answer, Chat, Detail, Mute, Question, Unanswered
 from thinkgrasp.planners.vlm.patience import Backoff, CircuitBreaker
 from thinkgrasp.planners.vlm.support import UnsupportedPlan, check_box, freed, on_scene
 from thinkgrasp.selection import middle_cell
@@ -63,6 +64,9 @@ class OpenAIPlanner:
         fallback: Plan with the offline planner where the model gives no usable plan; else such a plan is not `found`.
         search: Where the fallback looks for a goal that is not seen, as in OfflinePlanner; with "all", a model that
             says that nothing is left is overruled while there is something to clear.
+        without_key: "offline" = where no key or server is named and OPENAI_API_KEY is not set, ask no model: every
+            plan is the fallback's, and says so.
+        search: Where the fallback looks for a goal that is not seen, as in OfflinePlanner.
         temperature: Of the model's sampling; None = the server's own.
         seed: Of the random part of waits.
         clock: Monotonic [s].
@@ -96,6 +100,7 @@ class OpenAIPlanner:
         record: str | Path | None = None,
         replay: str | Path | None = None,
         fallback: bool = True,
+        without_key: Literal["error", "offline"] = "error",
         search: Search = "piles",
         temperature: float | None = 0,
         seed: int = 0,
@@ -109,6 +114,7 @@ class OpenAIPlanner:
             on_budget in get_args(OnBudget),
             f"on_budget must be one of {', '.join(get_args(OnBudget))}, got {on_budget!r}",
         )
+        _require(without_key in ("error", "offline"), f"without_key must be error or offline, got {without_key!r}")
         _within("grid", grid, 1, 15, whole=True)
         _within("image_width", image_width, 64, 4096, whole=True, optional=True)
         _within("request_timeout_s", request_timeout_s, 0.001, 3600)
@@ -143,6 +149,10 @@ class OpenAIPlanner:
             )
         if replay is not None:
             self._chat: Chat = Replay(replay)
+            return
+        unnamed = base_url is None and key_env is None and key_file is None
+        if without_key == "offline" and unnamed and "OPENAI_API_KEY" not in os.environ:
+            self._chat = Mute("no model is asked, as the environment variable OPENAI_API_KEY is not set")
             return
         self._chat = _server(
             base_url=base_url,

@@ -150,3 +150,17 @@ class Chat(Protocol):
     def close(self) -> None:
         """Let go of connections and files."""
         ...
+
+
+class Mute:
+    """Answers nothing, for one reason."""
+
+    def __init__(self, reason: str) -> None:
+        self._reason = reason
+
+    def ask(self, question: Question, deadline: float) -> Answer:
+        """Raise Unanswered."""
+        raise Unanswered(self._reason)
+
+    def close(self) -> None:
+        """Nothing is open."""

@@ -1,0 +1,258 @@
+"""Which points: furthest-point samples, neighbours in balls and cylinders, the three nearest; exact, ties included.
+
+The answers are those of the usual CUDA operators, index for index: strict float32 comparisons of explicit coordinate
+differences, the first hits in the order of the points, and their rules for ties. Plain torch, on the CPU or on CUDA.
+
+References:
+    Qi et al., PointNet++, NeurIPS 2017; the operators of graspnet-baseline (commit 280c215), against whose kernels,
+    compiled for the CPU, the golden data of the tests were made. The code is our own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from thinkgrasp.errors import InputError
+
+ORIGIN_SQUARED_M = 1e-3
+"""Furthest-point sampling leaves out points whose squared distance from the frame's origin is no larger."""
+_FAR = 1e10
+_THREADS = 512
+_POINTS_PER_BLOCK = 2048
+_CENTERS_PER_BLOCK = 512
+
+
+def furthest_points(points: Tensor, count: int) -> Tensor:
+    """Pick points one by one, each furthest from those picked before; the first is point 0.
+
+    Points within 3.16 cm of the frame's origin are never picked, except point 0. Once every other point is taken, picks
+    repeat. Of equally far points, the one wins that a reduction over 512 threads keeps: by the bit-reversed index
+    modulo the number of threads, then by the index.
+
+    Args:
+        points: (N, 3) float32 [m].
+        count: How many, more than N included.
+
+    Returns:
+        Indices (count,) int64.
+
+    Raises:
+        InputError: There is no point.
+    """
+    _check_points(points)
+    squared = _squared(points.T)
+    order = _tie_order(len(points), points.device)
+    order = order[squared[order].double() > ORIGIN_SQUARED_M]
+    if len(order) == 0:
+        return torch.zeros(count, dtype=torch.long, device=points.device)
+    pick = _picks_on_cpu if points.device.type == "cpu" else _picks_on_device
+    return pick(points, order, count)
+
+
+def _tie_order(n: int, device: torch.device) -> Tensor:
+    """Indices (n,) of points, the winner of a tie first."""
+    bits = min(_THREADS, 1 << (n.bit_length() - 1)).bit_length() - 1
+    reversed_bits = np.array([int(f"{k:0{bits}b}"[::-1], 2) if bits else 0 for k in range(1 << bits)])
+    return torch.from_numpy(np.argsort(reversed_bits[np.arange(n) % (1 << bits)], kind="stable")).to(device)
+
+
+def _picks_on_cpu(points: Tensor, order: Tensor, count: int) -> Tensor:
+    """The loop in numpy, whose calls on small arrays cost least."""
+    candidates = np.ascontiguousarray(points[order].numpy().T)
+    where = order.numpy()
+    picked = np.zeros(count, np.int64)
+    far = np.full(len(where), _FAR, np.float32)
+    squares = np.empty_like(candidates)
+    last = points[0].numpy()[:, None]
+    for i in range(1, count):
+        np.subtract(candidates, last, out=squares)
+        np.multiply(squares, squares, out=squares)
+        distance = np.add(squares[0], squares[1], out=squares[0])
+        np.minimum(far, np.add(distance, squares[2], out=distance), out=far)
+        k = far.argmax()
+        picked[i] = where[k]
+        last = candidates[:, k : k + 1]
+    return torch.from_numpy(picked)
+
+
+def _picks_on_device(points: Tensor, order: Tensor, count: int) -> Tensor:
+    """The same loop without waiting for the device."""
+    candidates = points[order].T.contiguous()
+    picked = torch.zeros(count, dtype=torch.long, device=points.device)
+    far = torch.full((len(order),), _FAR, device=points.device)
+    last = points[0][:, None]
+    for i in range(1, count):
+        torch.minimum(far, _squared(candidates - last), out=far)
+        k = far.argmax(keepdim=True)
+        picked[i : i + 1] = order[k]
+        last = candidates.index_select(1, k)
+    return picked
+
+
+def ball_query(points: Tensor, centers: Tensor, radius: float, count: int) -> Tensor:
+    """Find for every centre the first points, in their order, that lie within a ball.
+
+    Args:
+        points: (N, 3) float32 [m].
+        centers: (M, 3) float32 [m].
+        radius: The squared distance must be below radius * radius, both rounded to float32.
+        count: So many slots; free ones repeat the first hit, or hold 0 where there is none.
+
+    Returns:
+        Indices (M, count) int64.
+    """
+    limit = float(np.float32(radius) * np.float32(radius))
+
+    def hits(row: Tensor, column: Tensor) -> list[Tensor]:
+        return [_squared((points.index_select(0, column) - centers.index_select(0, row)).T) < limit]
+
+    return _first_hits(points, centers, radius, count, 1, hits)[0]
+
+
+def cylinder_query(
+    points: Tensor, centers: Tensor, rotations: Tensor, radius: float, low: float, highs: Sequence[float], count: int
+) -> Tensor:
+    """Find for every centre the first points, in their order, that lie within cylinders along its x axis.
+
+    Args:
+        points: (N, 3) float32 [m].
+        centers: (M, 3) float32 [m].
+        rotations: (M, 3, 3), columns are the axes of each cylinder's frame.
+        radius: Around x; strictly within.
+        low: Least local x, exclusive.
+        highs: Largest local x, exclusive, one for each of D nested cylinders.
+        count: As in `ball_query`.
+
+    Returns:
+        Indices (D, M, count) int64.
+    """
+    limit = float(np.float32(radius) * np.float32(radius))
+    least, mosts = float(np.float32(low)), [float(np.float32(high)) for high in highs]
+
+    def hits(row: Tensor, column: Tensor) -> list[Tensor]:
+        x, y, z = turned(points.index_select(0, column) - centers.index_select(0, row), rotations.index_select(0, row))
+        inside = (y * y + z * z < limit) & (x > least)
+        return [inside & (x < most) for most in mosts]
+
+    reach = float(np.hypot(radius, max(abs(low), *(abs(h) for h in highs))))
+    return _first_hits(points, centers, reach, count, len(highs), hits)
+
+
+def turned(offsets: Tensor, rotations: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the coordinates x, y, z (...) of offsets (..., 3) in frames with axes (..., 3, 3) as columns."""
+    dx, dy, dz = offsets.unbind(-1)
+    x, y, z = (r[..., 1] * dy + r[..., 0] * dx + r[..., 2] * dz for r in rotations.unbind(-1))
+    return x, y, z
+
+
+def three_nearest(unknown: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+    """Find the three nearest of `known` (K, 3) for every point of `unknown` (U, 3); ties to the lower index.
+
+    Returns:
+        Squared distances (U, 3) float32, ascending, and indices (U, 3) int64.
+
+    Raises:
+        InputError: There are fewer than three known points.
+    """
+    if len(known) < 3:
+        raise InputError(f"interpolation needs at least three known points, got {len(known)}")
+    squared = torch.zeros(len(unknown), len(known), device=known.device)
+    for axis in range(3):
+        squared += (unknown[:, axis : axis + 1] - known[:, axis]).square_()
+    distances, indices = [], []
+    for _ in range(3):
+        nearest = squared.argmin(dim=1, keepdim=True)
+        distances.append(squared.gather(1, nearest))
+        indices.append(nearest)
+        squared.scatter_(1, nearest, float("inf"))
+    return torch.cat(distances, 1), torch.cat(indices, 1)
+
+
+def _squared(d: Tensor) -> Tensor:
+    """Squared length (...) of vectors (3, ...), summed in the kernels' order."""
+    x, y, z = d[0], d[1], d[2]
+    return x * x + y * y + z * z
+
+
+def _check_points(points: Tensor) -> None:
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
+        raise InputError(f"points must be (N, 3) with at least one point, got {tuple(points.shape)}")
+
+
+def _first_hits(
+    points: Tensor,
+    centers: Tensor,
+    reach: float,
+    count: int,
+    layers: int,
+    hits: Callable[[Tensor, Tensor], list[Tensor]],
+) -> Tensor:
+    """Scan the points block by block until every centre has its hits in every layer.
+
+    Pairs within about `reach` come first, with room for rounding; `hits` decides on each of them exactly.
+
+    Args:
+        points: (N, 3).
+        centers: (M, 3).
+        reach: No hit is further from its centre.
+        count: Slots.
+        layers: How many answers for each centre.
+        hits: From centre and point indices (K,) to a mask (K,) per layer.
+
+    Returns:
+        Indices (layers, M, count).
+    """
+    _check_points(points)
+    device, m = points.device, len(centers)
+    found = torch.zeros(layers, m, count, dtype=torch.long, device=device)
+    have = torch.zeros(layers, m, dtype=torch.long, device=device)
+    near = _NearPairs(points, centers, reach)
+    for start in range(0, len(points), _POINTS_PER_BLOCK):
+        waiting = (have < count).any(dim=0).nonzero()[:, 0]
+        if len(waiting) == 0:
+            break
+        for rows in waiting.split(_CENTERS_PER_BLOCK):
+            row, column = near.within(rows, slice(start, start + _POINTS_PER_BLOCK))
+            for layer, hit in enumerate(hits(row, column)):
+                hit_row, hit_column = row[hit], column[hit]
+                new = torch.bincount(hit_row, minlength=m)
+                before = have[layer] - torch.cumsum(new, 0) + new
+                slot = torch.arange(len(hit_row), device=device) + before.index_select(0, hit_row)
+                kept = slot < count
+                found[layer].view(-1)[hit_row[kept] * count + slot[kept]] = hit_column[kept]
+                have[layer] += new
+    free = torch.arange(count, device=device) >= have[..., None]
+    return torch.where(free, found[..., :1], found)
+
+
+class _NearPairs:
+    """Pairs of centres and points that may lie within a distance of one another."""
+
+    def __init__(self, points: Tensor, centers: Tensor, reach: float) -> None:
+        middle = points.mean(dim=0)
+        self._points, self._centers = points - middle, centers - middle
+        squares = [v.square().sum(dim=1, keepdim=True) for v in (self._points, self._centers)]
+        spread = max(float(s.max()) for s in squares if len(s))
+        largest = float(points.abs().max())
+        # Rounding: of the squares and products, and of the coordinates about the middle.
+        self._limit = reach * reach * (1 + 1e-5) + 4e-6 * (spread + reach * largest)
+        self._left = torch.cat([self._centers, squares[1], torch.ones_like(squares[1])], dim=1)
+        self._right = torch.cat([-2 * self._points, torch.ones_like(squares[0]), squares[0]], dim=1)
+        self._by_product = points.device.type == "cpu"  # elsewhere, a product may run in reduced precision
+
+    def within(self, rows: Tensor, block: slice) -> tuple[Tensor, Tensor]:
+        """Return centre indices (K,), ascending, and point indices (K,), ascending for each of them."""
+        if self._by_product:
+            rough = self._left[rows] @ self._right[block].T
+            # numpy compares and collects several times faster than torch does on a processor.
+            pair = torch.from_numpy(np.flatnonzero(rough.numpy() <= self._limit))
+        else:
+            mode = "donot_use_mm_for_euclid_dist"
+            rough = torch.cdist(self._centers[rows], self._points[block], compute_mode=mode).square_()
+            pair = (rough <= self._limit).flatten().nonzero()[:, 0]
+        row = pair // rough.shape[1]
+        return rows.index_select(0, row), pair - row * rough.shape[1] + block.start
