@@ -6,6 +6,7 @@ an error that names the command.
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import tomllib
@@ -37,6 +38,7 @@ class KnownWeights:
     gated: bool = False
     file: str | None = None
     url: str | None = None
+    drive: str | None = None
     page: str | None = None
     sha256: str | None = None
     mb: int | None = None
@@ -50,14 +52,27 @@ class KnownWeights:
         path = files_folder() / (self.file or self.name)
         if self.url is not None:
             return f"curl --create-dirs -L -o '{path}' '{self.url}'"
+        if self.drive is not None:
+            return f"pip install gdown && mkdir -p '{path.parent}' && gdown {self.drive} -O '{path}'"
         return f"open {self.page} and save the checkpoint as {path}"
 
     def find(self) -> Path | None:
-        """Return the folder (hub models) or file on this machine, or None."""
-        if self.hub is not None:
-            return cached_snapshot(self.hub, self.revision)
+        """Return the folder (hub models) or file on this machine, or None.
+
+        A hub model is looked for in the hub's cache, and as a folder of its name among the files.
+        """
         path = files_folder() / (self.file or self.name)
-        return path if path.is_file() else None
+        if self.hub is None:
+            return path if path.is_file() else None
+        complete = (path / "config.json").is_file() and weight_files(path)
+        return cached_snapshot(self.hub, self.revision) or (path if complete else None)
+
+    def intact(self, path: Path) -> bool:
+        """Whether a file is the one that is known, where its digest is."""
+        if self.sha256 is None:
+            return True
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest() == self.sha256
 
 
 @cache
@@ -90,7 +105,9 @@ def locate_model(source: str | Path, *, what: str) -> Path:
     known = known_weights().get(text)
     if known is None and (isinstance(source, Path) or not _HUB_ID.fullmatch(text)):
         names = ", ".join(name for name, entry in known_weights().items() if entry.hub)
-        raise ConfigError(f"{what}: there is no folder {text}, and no model of that name; known: {names}; or OWNER/NAME")
+        raise ConfigError(
+            f"{what}: there is no folder {text}, and no model of that name; known: {names}; or OWNER/NAME"
+        )
     if known is not None and known.hub is None:
         raise ConfigError(f"{what}: {text} is a single file and no model folder ({known.purpose})")
     hub, revision = (known.hub or "", known.revision) if known is not None else _split(text)
@@ -98,7 +115,7 @@ def locate_model(source: str | Path, *, what: str) -> Path:
         warnings.warn(
             f"{what}: {hub} is not pinned to a commit, so what it does may change; write {hub}@COMMIT", stacklevel=2
         )
-    found = cached_snapshot(hub, revision)
+    found = known.find() if known is not None else cached_snapshot(hub, revision)
     if found is None:
         entry = known or next((e for e in known_weights().values() if e.hub == hub and e.revision == revision), None)
         command = entry.command if entry is not None else download_command(hub, revision)
@@ -154,7 +171,7 @@ def hub_cache() -> Path:
 
 
 def files_folder() -> Path:
-    """Return the folder for weights that are single files: THINKGRASP_WEIGHTS, or one in the user's cache."""
+    """Return the folder for weights by name: THINKGRASP_WEIGHTS, or one in the user's cache."""
     chosen = os.environ.get("THINKGRASP_WEIGHTS")
     return Path(chosen).expanduser() if chosen else _caches() / "thinkgrasp" / "weights"
 

@@ -27,7 +27,11 @@ def torchvision_problem() -> str | None:
     pair = f"torchvision {own or 'of unknown version'} beside torch {torch or 'of unknown version'}"
     try:
         done = subprocess.run(
-            [sys.executable, "-c", "import torchvision"], capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
+            [sys.executable, "-c", "import torchvision"],
+            capture_output=True,
+            text=True,
+            timeout=_TIMEOUT_S,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         return f"{pair} is not imported within {_TIMEOUT_S} s"

@@ -14,7 +14,7 @@ MIN_SIDE_PX = 1.0
 """A box that is thinner than this inside the image shows nothing."""
 
 
-def clip_boxes(boxes: Array, image_hw: tuple[int, int]) -> Array:
+def clip_boxes(boxes: NDArray[np.floating], image_hw: tuple[int, int]) -> Array:
     """Return boxes cut to the image; those outside get no area."""
     h, w = image_hw
     return np.clip(boxes, 0, np.array([w, h, w, h], np.float32)).astype(np.float32)
@@ -27,10 +27,10 @@ def has_area(boxes: Array) -> NDArray[np.bool_]:
 
 def box_iou(a: Array, b: Array) -> NDArray[np.float64]:
     """Return the intersection over union (N, M) of boxes (N, 4) with boxes (M, 4); 0 where there is no area."""
-    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
-    low, high = np.maximum(a[:, None, :2], b[None, :, :2]), np.minimum(a[:, None, 2:], b[None, :, 2:])
+    p, q = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    low, high = np.maximum(p[:, None, :2], q[None, :, :2]), np.minimum(p[:, None, 2:], q[None, :, 2:])
     both = np.prod(np.clip(high - low, 0, None), axis=2)
-    areas = [np.prod(np.clip(boxes[:, 2:] - boxes[:, :2], 0, None), axis=1) for boxes in (a, b)]
+    areas = [np.prod(np.clip(boxes[:, 2:] - boxes[:, :2], 0, None), axis=1) for boxes in (p, q)]
     either = areas[0][:, None] + areas[1][None] - both
     return np.divide(both, either, out=np.zeros_like(both), where=either > 0)
 

@@ -55,9 +55,7 @@ class _GivenFeatures(nn.Module):
         self.position_embedding = position_embedding
         self.features: _Features | None = None
 
-    def forward(
-        self, pixel_values: Tensor, pixel_mask: Tensor
-    ) -> tuple[list[tuple[Tensor, Tensor]], list[Tensor]]:
+    def forward(self, pixel_values: Tensor, pixel_mask: Tensor) -> tuple[list[tuple[Tensor, Tensor]], list[Tensor]]:
         """Return new lists each time, since the model appends to them."""
         n = len(pixel_values)
         maps, positions, _ = cast(_Features, self.features)
@@ -129,9 +127,7 @@ class GroundingDino:
         return tuple(found)
 
     @torch.inference_mode()
-    def _run(
-        self, image: NDArray[np.uint8], texts: list[str]
-    ) -> tuple[Array, Array, list[list[tuple[int, int]]]]:
+    def _run(self, image: NDArray[np.uint8], texts: list[str]) -> tuple[Array, Array, list[list[tuple[int, int]]]]:
         """Return logits (B, Q, T), boxes (B, Q, 4) as shares cx, cy, w, h, and each token's place in its text."""
         self._given.features = self._cache.get(image, lambda: self._see(image))
         limit = int(self._model.config.max_text_len)

@@ -1,7 +1,7 @@
 """From a frame's colours to what a network takes: resized, scaled, normalised and padded, with PIL and numpy alone.
 
-The numbers are those of the library's own processors that use PIL; those that use torchvision resize with it, and
-differ by at most one of 255 grey levels.
+The numbers are those of the library's own processors that use PIL. Those that use torchvision resize with it, and
+differ by at most 2 of 255 grey levels, by less than 0.1 on average (tests/segmenters/test_image_input.py).
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from thinkgrasp.segmenters.marks import marked_segment
 from thinkgrasp.types import Degradation, Plan, Scene, Segment, Segmentation
 
 if TYPE_CHECKING:
-    from thinkgrasp.segmenters.sam3_network import Sam3
+    from thinkgrasp.segmenters.sam3_network import ConceptMasks, Sam3
 
 PURPOSE = "the sam3 segmenter"
 
@@ -77,11 +77,13 @@ class Sam3Segmenter:
 
     def find(self, image: NDArray[np.uint8], phrases: Sequence[str]) -> tuple[tuple[Segment, ...], ...]:
         """Return the segments that answer to each phrase in an RGB image (H, W, 3), best first."""
-        return tuple(
-            tuple(
-                segment_of(mask, phrase, float(score))
-                for mask, score in zip(found.masks, found.scores, strict=True)
-                if mask.any()
-            )[: self.max_segments]
-            for phrase, found in zip(phrases, self.network.find(image, phrases), strict=True)
-        )
+        said = [phrase for phrase in phrases if phrase.strip()]
+        answers = dict(zip(said, self.network.find(image, said, most=self.max_segments), strict=True))
+        return tuple(_segments(phrase, answers.get(phrase)) for phrase in phrases)
+
+
+def _segments(phrase: str, found: ConceptMasks | None) -> tuple[Segment, ...]:
+    if found is None:
+        return ()
+    pairs = zip(found.masks, found.scores, strict=True)
+    return tuple(segment_of(mask, phrase, float(score)) for mask, score in pairs if mask.any())

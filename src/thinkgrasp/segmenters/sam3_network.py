@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn import functional as F
+from torch.nn.functional import interpolate
 
 from thinkgrasp.segmenters.boxes import box_iou, clip_boxes
 from thinkgrasp.segmenters.image_cache import ImageCache
@@ -92,14 +92,14 @@ class Sam3:
         self.batch = batch
         self._cache = ImageCache[Any](cached_images)
 
-    def find(self, image: NDArray[np.uint8], phrases: Sequence[str]) -> tuple[ConceptMasks, ...]:
-        """Return the masks that answer to each phrase in an RGB image (H, W, 3)."""
+    def find(self, image: NDArray[np.uint8], phrases: Sequence[str], *, most: int = 50) -> tuple[ConceptMasks, ...]:
+        """Return the masks that answer to each phrase in an RGB image (H, W, 3), at most so many of each."""
         hw = (image.shape[0], image.shape[1])
         answers: list[ConceptMasks] = []
         for start in range(0, len(phrases), self.batch):
             for found in self._run(image, list(phrases[start : start + self.batch]), None):
                 kept = np.flatnonzero(found.scores > self.score_threshold)
-                kept = kept[np.argsort(-found.scores[kept], kind="stable")]
+                kept = kept[np.argsort(-found.scores[kept], kind="stable")][:most]
                 answers.append(ConceptMasks(_at_full_size(found.masks[kept], hw), found.scores[kept]))
         return tuple(answers)
 
@@ -114,7 +114,7 @@ class Sam3:
         for start in range(0, len(boxes), self.batch):
             some = boxes[start : start + self.batch]
             for box, found in zip(some, self._run(image, [BOX_TEXT] * len(some), some), strict=True):
-                best = np.argmax(box_iou(found.boxes, box[None])[:, 0] * found.scores)[None]
+                best = np.array([np.argmax(box_iou(found.boxes, box[None])[:, 0] * found.scores)])
                 masks.append(_at_full_size(found.masks[best], hw))
                 scores.append(found.scores[best])
         return BoxMasks(np.concatenate(masks), np.concatenate(scores))
@@ -153,7 +153,7 @@ def _at_full_size(logits: Tensor, hw: tuple[int, int]) -> NDArray[np.bool_]:
     """Return masks (N, H, W) from logits (N, h, w); probabilities, not logits, are interpolated, as in the library."""
     parts = [np.zeros((0, *hw), np.bool_)]
     for some in logits.split(MASKS_AT_ONCE) if len(logits) else ():
-        full = F.interpolate(some.sigmoid()[None], hw, mode="bilinear", align_corners=False)[0]
+        full = interpolate(some.sigmoid()[None], hw, mode="bilinear", align_corners=False)[0]
         parts.append((full > MASK_THRESHOLD).cpu().numpy())
     return np.concatenate(parts)
 
@@ -234,6 +234,6 @@ def _model_class() -> Any:
 
         def __init__(self, config: Any) -> None:
             super().__init__(config)
-            self.geometry_encoder = GeometryEncoder(self.config.geometry_encoder_config)
+            self.geometry_encoder = GeometryEncoder(cast(Any, self.config.geometry_encoder_config))
 
     return Sam3WithoutTorchvision

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn import functional as F
+from torch.nn.functional import interpolate
 
 from thinkgrasp.segmenters.image_cache import ImageCache
 from thinkgrasp.segmenters.image_input import ImageInput
@@ -85,9 +85,7 @@ class SegmentAnything:
         folder = find_model(model, KINDS, what=WHAT)
         self._generation = "sam" if model_type(folder, what=WHAT) == "sam" else "sam2"
         self._input = _INPUTS[self._generation].read(folder, what=WHAT)
-        self._model: Any = load_model(
-            classes[self._generation], folder, what=WHAT, device=device, dtype=dtype
-        )
+        self._model: Any = load_model(classes[self._generation], folder, what=WHAT, device=device, dtype=dtype)
         self.encoder = self._model.vision_encoder
         """From pixels to features; runs once per image."""
         self._cache = ImageCache[_Embedding](cached_images)
@@ -127,9 +125,9 @@ class SegmentAnything:
     def _at_full_size(self, low: Tensor, size_hw: tuple[int, int], hw: tuple[int, int]) -> NDArray[np.bool_]:
         """Return masks (N, H, W) from logits (N, 1, h, w); SAM's include the padding, SAM 2 has none."""
         if self._input.pad_hw is not None:
-            low = F.interpolate(low, self._input.pad_hw, mode="bilinear", align_corners=False)
+            low = interpolate(low, self._input.pad_hw, mode="bilinear", align_corners=False)
             low = low[..., : size_hw[0], : size_hw[1]]
-        return (F.interpolate(low, hw, mode="bilinear", align_corners=False)[:, 0] > 0).cpu().numpy()
+        return (interpolate(low, hw, mode="bilinear", align_corners=False)[:, 0] > 0).cpu().numpy()
 
 
 _SHARED: WeakValueDictionary[tuple[str, str | None, str | None], SegmentAnything] = WeakValueDictionary()

@@ -16,13 +16,18 @@ _LETTERS = "abcdefghijklmnopqrstuvwxyz0123456789"
 
 def save_grounding_dino(folder: Path, *, small: bool = True, seed: int = 0) -> Path:
     """Save a GroundingDINO: a small one, or one with the sizes of grounding-dino-tiny."""
-    from transformers import BertConfig, GroundingDinoConfig, GroundingDinoForObjectDetection, SwinConfig
+    from transformers import BertConfig, GroundingDinoConfig, GroundingDinoForObjectDetection
 
-    stages = ["stage2", "stage3", "stage4"]
     if small:
-        swin = SwinConfig(
-            embed_dim=16, depths=[1, 1, 1, 1], num_heads=[1, 2, 2, 4], window_size=4, image_size=64, out_features=stages
-        )
+        swin = {
+            "model_type": "swin",
+            "embed_dim": 16,
+            "depths": [1, 1, 1, 1],
+            "num_heads": [1, 2, 2, 4],
+            "window_size": 4,
+            "image_size": 64,
+            "out_indices": [2, 3, 4],
+        }
         bert = BertConfig(
             vocab_size=1200,
             hidden_size=32,
@@ -85,8 +90,14 @@ def save_sam(folder: Path, *, small: bool = True, seed: int = 0) -> Path:
 
 def save_sam2(folder: Path, *, small: bool = True, seed: int = 0) -> Path:
     """Save a SAM 2: a small one, or one with the sizes of sam2.1-hiera-small."""
-    from transformers import Sam2Config, Sam2HieraDetConfig, Sam2MaskDecoderConfig, Sam2Model
-    from transformers import Sam2PromptEncoderConfig, Sam2VisionConfig
+    from transformers import (
+        Sam2Config,
+        Sam2HieraDetConfig,
+        Sam2MaskDecoderConfig,
+        Sam2Model,
+        Sam2PromptEncoderConfig,
+        Sam2VisionConfig,
+    )
 
     side = 128 if small else 1024
     if small:
@@ -160,10 +171,8 @@ def save_sam3(folder: Path, *, small: bool = True, seed: int = 0) -> Path:
         )
     else:
         config = Sam3Config()
-    _save(Sam3Model, config, folder, seed, 0.2 if small else None)
-    _save_input(
-        folder, {"size": {"height": side, "width": side}, "image_mean": [0.5] * 3, "image_std": [0.5] * 3}
-    )
+    _save(Sam3Model, config, folder, seed, 0.4 if small else None)
+    _save_input(folder, {"size": {"height": side, "width": side}, "image_mean": [0.5] * 3, "image_std": [0.5] * 3})
     _save_clip_tokenizer(folder, 600 if small else 49408)
     return folder
 
