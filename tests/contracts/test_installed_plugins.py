@@ -7,6 +7,7 @@ from importlib.metadata import EntryPoint
 
 import pytest
 from fakes.chat_server import dead_url
+from fakes.models import model
 
 from thinkgrasp import registry, testing
 from thinkgrasp.cameras.saving import save_frame
@@ -29,9 +30,25 @@ def registered(kind: registry.Kind) -> list[str]:
 ASKS_A_SERVER = ("planner", "openai")
 
 
-@pytest.mark.parametrize(("kind", "name"), [(k, n) for k in STAGES for n in registered(k) if (k, n) != ASKS_A_SERVER])
+NEEDS_WEIGHTS = {("segmenter", name) for name in ("grounded_sam", "sam3", "cascade")}
+APART = {ASKS_A_SERVER, *NEEDS_WEIGHTS}
+
+
+@pytest.mark.parametrize(("kind", "name"), [(k, n) for k in STAGES for n in registered(k) if (k, n) not in APART])
 def test_stage_keeps_its_contract(kind, name):
     STAGES[kind](registry.load(kind, name))
+
+
+@pytest.mark.parametrize("name", ["grounded_sam", "sam3", "cascade"])
+def test_segmenter_with_random_weights_keeps_its_contract(name):
+    pytest.importorskip("transformers", reason="needs thinkgrasp[langsam]")
+    pair = {"detector": model("grounding_dino"), "masks": model("sam"), "refine_marks": True, "device": "cpu"}
+    settings = {
+        "grounded_sam": pair,
+        "sam3": {"model": model("sam3"), "score_threshold": 0.3, "device": "cpu"},
+        "cascade": {"objects": {"name": "grounded_sam", "settings": pair}, "parts": None},
+    }
+    testing.check_segmenter(registry.load("segmenter", name, **settings[name]))
 
 
 def test_planner_without_its_server_keeps_its_contract():

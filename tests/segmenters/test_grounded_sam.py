@@ -9,12 +9,12 @@ from fakes.models import model, picture
 pytest.importorskip("torch", reason="needs thinkgrasp[langsam]")
 pytest.importorskip("transformers", reason="needs thinkgrasp[langsam]")
 
-from thinkgrasp.errors import ConfigError, ContractError  # noqa: E402
-from thinkgrasp.segmenters.grounded_sam import GroundedSamSegmenter  # noqa: E402
-from thinkgrasp.segmenters.grounding_dino import Detections  # noqa: E402
-from thinkgrasp.segmenters.segment_anything import BoxMasks  # noqa: E402
-from thinkgrasp.testing import sample_scene, strict_scene  # noqa: E402
-from thinkgrasp.types import Plan  # noqa: E402
+from thinkgrasp.errors import ConfigError, ContractError
+from thinkgrasp.segmenters.grounded_sam import GroundedSamSegmenter
+from thinkgrasp.segmenters.grounding_dino import Detections
+from thinkgrasp.segmenters.segment_anything import BoxMasks
+from thinkgrasp.testing import sample_scene, strict_scene
+from thinkgrasp.types import Plan
 
 
 class ScriptedDetector:

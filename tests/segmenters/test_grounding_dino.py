@@ -92,7 +92,9 @@ def test_a_batch_of_phrases_is_each_phrase_alone(everything):
     for phrase, found in zip(["red mug", "a much longer phrase", "x"], together, strict=True):
         assert equal(found, everything.detect(image, [phrase])[0], 1e-4), phrase
     small = detector(box_threshold=0.0, text_threshold=0.0, max_iou=1.0, batch=1)
-    assert all(equal(a, b, 1e-4) for a, b in zip(small.detect(image, PHRASES), everything.detect(image, PHRASES)))
+    assert all(
+        equal(a, b, 1e-4) for a, b in zip(small.detect(image, PHRASES), everything.detect(image, PHRASES), strict=True)
+    )
 
 
 def test_another_phrase_does_not_run_the_backbone():

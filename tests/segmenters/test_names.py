@@ -45,7 +45,12 @@ def test_whole_and_part(target, whole, part):
 
 
 def test_the_head_noun_comes_first_and_then_the_best_of_the_others():
-    objects = [PlannedObject("spoon", 20), PlannedObject("Red Box", 99), PlannedObject("cup", 80), PlannedObject("", 90)]
+    objects = [
+        PlannedObject("spoon", 20),
+        PlannedObject("Red Box", 99),
+        PlannedObject("cup", 80),
+        PlannedObject("", 90),
+    ]
     objects += [PlannedObject("box", 70), PlannedObject("cup", 60), PlannedObject("pan", 10)]
     assert other_names("red box", objects, 2) == ("box", "cup")
     assert other_names("red box", objects, 9) == ("box", "cup", "spoon", "pan")

@@ -54,7 +54,15 @@ def torchvisions_roi_align(features: np.ndarray, box: np.ndarray, size: int) -> 
 
 @pytest.mark.parametrize(
     "box",
-    [[2, 3, 9, 8], [0, 0, 12, 10], [5.2, 1.7, 5.4, 1.9], [-3, -2, 4, 5], [8, 6, 20, 19], [30, 30, 40, 40], [3, 3, 3, 3]],
+    [
+        [2, 3, 9, 8],
+        [0, 0, 12, 10],
+        [5.2, 1.7, 5.4, 1.9],
+        [-3, -2, 4, 5],
+        [8, 6, 20, 19],
+        [30, 30, 40, 40],
+        [3, 3, 3, 3],
+    ],
 )
 def test_box_features_are_torchvisions(box):
     features = np.random.default_rng(0).normal(size=(4, 10, 12)).astype(np.float32)

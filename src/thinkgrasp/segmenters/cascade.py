@@ -33,7 +33,7 @@ class _Stage:
 
 @dataclass(frozen=True)
 class _Answer:
-    """What became of one question: segments, or why there are none."""
+    """What became of one question: segments, or why there are none; and what the segmenter said of itself."""
 
     segments: tuple[Segment, ...]
     notes: tuple[Degradation, ...] = ()
@@ -117,14 +117,12 @@ class CascadeSegmenter:
         notes: list[Degradation] = []
         for name, following in zip(names, [*(repr(n) for n in names[1:]), "the geometric proposals"], strict=True):
             answer = self._ask(self.objects, scene, replace(plan, target=name, kind="object"))
-            notes += answer.notes
             if answer.segments:
-                return _Answer(answer.segments, tuple(notes))
+                return _Answer(answer.segments, (*notes, *answer.notes))
             notes.append(Degradation("segment", answer.problem, following))
         answer = self._ask(self.proposals, scene, replace(plan, kind="object"))
-        if not answer.segments:
-            notes.append(Degradation("segment", answer.problem, "no segment"))
-        return _Answer(answer.segments, (*notes, *answer.notes))
+        said = answer.notes or ((Degradation("segment", answer.problem, "no segment"),) if answer.problem else ())
+        return _Answer(answer.segments, (*notes, *said))
 
     def _part(self, scene: Scene, plan: Plan) -> _Answer:
         whole, part = whole_and_part(plan.target)
@@ -169,7 +167,8 @@ class CascadeSegmenter:
         kept = tuple(s for s in result.segments if all(s is not c for c in cut))
         low = f"{len(cut)} cut by the border, scoring less than {self.border_score:g}"
         if not kept:
-            return _Answer((), (), f"{stage.name} finds no {plan.target!r}" + (f" but {low}" if cut else ""))
+            problem = f"{stage.name} finds no {plan.target!r}" + (f" but {low}" if cut else "")
+            return _Answer((), result.degraded, problem)
         if not cut:
             return _Answer(kept, result.degraded)
         note = Degradation("segment", f"of what {stage.name} finds for {plan.target!r}, {low}", "left out")

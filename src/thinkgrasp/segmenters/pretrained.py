@@ -19,6 +19,7 @@ from thinkgrasp.weights import locate_model, weight_files
 DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torch.float16}
 MAX_TOLD = 4
 """So many names of missing tensors are told."""
+_PACKAGES = ("transformers", "tokenizers", "safetensors", "huggingface_hub")
 
 
 class ModelClass(Protocol):
@@ -38,11 +39,9 @@ def import_models(load: Callable[[], Any], *, what: str) -> Any:
     """
     try:
         return load()
-    except ModuleNotFoundError as error:
-        if error.name not in ("transformers", "tokenizers", "safetensors", "huggingface_hub"):
-            raise
-        raise MissingDependency(error.name, "langsam", what) from None
     except (ImportError, RuntimeError, AttributeError) as error:
+        if isinstance(error, ModuleNotFoundError) and error.name in _PACKAGES:
+            raise MissingDependency(error.name, "langsam", what) from None
         problem = torchvision_problem()
         if problem is None:
             raise
