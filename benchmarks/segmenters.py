@@ -1,6 +1,6 @@
 """Time and memory of the learned segmenters at their published sizes, with random weights: nothing is downloaded.
 
-    python benchmarks/segmenters.py [--models grounded_sam grounded_sam2 sam3] [--frames 3] [--threads 2] [--device cpu]
+    python benchmarks/segmenters.py [--models grounded_sam grounded_sam2 sam3] [--frames 4] [--threads 2] [--device cpu]
 
 Each row runs in a process of its own, so that its peak memory is its own. A frame's first phrase encodes the image;
 the second phrase about the same frame uses what is kept. Three masks are made per phrase. Time does not depend on
@@ -95,7 +95,7 @@ def save(name: Model, folder: Path) -> None:
 def measure(
     name: Model, folder: Path, size_wh: tuple[int, int], frames: int, threads: int | None, settings: dict[str, Any]
 ) -> Row:
-    """Load, look at several frames with two phrases each, and return medians; the first frame is left out."""
+    """Load, look at several frames with two phrases each, and return medians, without the first of several frames."""
     import torch
 
     if threads is not None:
@@ -105,7 +105,7 @@ def measure(
     load_s = time.perf_counter() - start
     firsts: list[tuple[float, float]] = []
     seconds: list[tuple[float, float]] = []
-    for seed in range(frames + 1):
+    for seed in range(frames):
         view = scene(*size_wh, seed)
         for times, phrase in ((firsts, "red mug"), (seconds, "cracker box")):
             start, worked = time.perf_counter(), time.process_time()
@@ -118,15 +118,15 @@ def measure(
     return Row(
         sum(p.numel() for m in modules for p in m.parameters()),
         load_s,
-        _median(firsts[1:]),
-        _median(seconds[1:]),
+        _median(firsts),
+        _median(seconds),
         resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         torch.cuda.max_memory_allocated() / 2**20 if torch.cuda.is_available() else None,
     )
 
 
 def _median(times: list[tuple[float, float]]) -> tuple[float, float]:
-    passed, worked = np.median(np.array(times), axis=0)
+    passed, worked = np.median(np.array(times[1:] or times), axis=0)
     return float(passed), float(worked)
 
 
@@ -139,7 +139,7 @@ def _modules(segmenter: Any) -> list[Any]:
 def main(
     models: tuple[Model, ...] = ("grounded_sam", "grounded_sam2", "sam3"),
     size: Annotated[str, tyro.conf.arg(metavar="WxH")] = "640x480",
-    frames: int = 3,
+    frames: int = 4,
     threads: int | None = None,
     device: str = "cpu",
     dtype: str = "float32",
@@ -150,7 +150,7 @@ def main(
     Args:
         models: Which rows.
         size: Of the frames.
-        frames: So many per row, after one that is left out.
+        frames: So many per row; the first of several is left out.
         threads: Of torch; None = as many as it takes by itself.
         device: Where the networks run.
         dtype: What they calculate in.
