@@ -17,6 +17,7 @@ import resource
 import tempfile
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -167,11 +168,12 @@ def main(
     for name in models:
         with tempfile.TemporaryDirectory() as scratch:
             folder = Path(scratch)
-            with context.Pool(1) as pool:
-                pool.apply(save, (name, folder))
-            with context.Pool(1) as pool:
+            with ProcessPoolExecutor(1, context) as pool:
+                pool.submit(save, name, folder).result()
+            with ProcessPoolExecutor(1, context) as pool:
                 settings = {"device": device, "dtype": dtype}
-                row = rows[name] = pool.apply(measure, (name, folder, (width, height), frames, threads, settings))
+                row = pool.submit(measure, name, folder, (width, height), frames, threads, settings).result()
+            rows[name] = row
         gpu = "" if row.gpu_mib is None else f", GPU {row.gpu_mib:.0f} MiB"
         print(
             f"| {CONTENDERS[name].title} | {row.parameters / 1e6:.0f} M | {row.load_s:.1f} s "
