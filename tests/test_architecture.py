@@ -11,6 +11,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "thinkgrasp"
 
 ORDER = [
     ["errors"],
+    ["weights"],
     ["types"],
     ["geometry", "gripper", "outputs"],
     ["contacts"],

@@ -198,6 +198,8 @@ class DemoCommand:
 class DoctorCommand:
     """Say what is installed, what each missing extra would enable, and whether a decision works here."""
 
+    weights: bool = False
+    """Also list all weights: where they are, and the command that gets those that are missing."""
     debug: bool = False
     """Show the traceback of an error."""
 
@@ -205,7 +207,7 @@ class DoctorCommand:
         """Carry the command out and return the exit code."""
         from thinkgrasp import doctor
 
-        healthy = doctor.report(sys.stdout)
+        healthy = doctor.report(sys.stdout, weights=self.weights)
         return DONE if healthy else NOTHING
 
 

@@ -12,6 +12,8 @@ from typing import TextIO
 
 from thinkgrasp import __version__, registry
 from thinkgrasp.errors import ThinkGraspError
+from thinkgrasp.networks.torch_install import CURE, torchvision_problem
+from thinkgrasp.weights import known_weights
 
 SELF_CHECK_INSTRUCTION = "the red box"
 
@@ -29,7 +31,7 @@ EXTRAS: dict[str, Extra] = {
     "convex": Extra("convex pieces for your own objects whose collision mesh is not convex", True),
     "egl": Extra("rendering simulated frames on a GPU", True),
     "vlm": Extra("planning with GPT-4o or any server that speaks chat.completions", True),
-    "langsam": Extra("masks from text by GroundingDINO and SAM", False),
+    "langsam": Extra("masks from text by GroundingDINO and SAM, SAM 3 or VLPart", True),
     "graspnet": Extra("the generators VGN, GraspNet-1Billion and FGC-GraspNet", True),
     "server": Extra("the HTTP server and its client", False),
     "viz": Extra("following an episode in the browser (demo --live)", True),
@@ -49,8 +51,8 @@ class SelfCheck:
     message: str
 
 
-def report(out: TextIO) -> bool:
-    """Print the report and return whether the self-check passed."""
+def report(out: TextIO, *, weights: bool = False) -> bool:
+    """Print the report, on request with all weights, and return whether the self-check passed."""
     print(f"thinkgrasp {__version__}", file=out)
     print(f"python     {platform.python_version()} ({sys.executable})", file=out)
     print(f"system     {platform.system()} {platform.machine()}", file=out)
@@ -65,12 +67,36 @@ def report(out: TextIO) -> bool:
         print(f"  {name:<10} {state}\n             for {extra.purpose}{later}", file=out)
         if missing:
             print(f"             pip install 'thinkgrasp[{name}]'", file=out)
+    problem = torchvision_problem()
+    if problem is not None:
+        print(f"\nPROBLEM: {problem}\n{CURE}", file=out)
     print("\nplug-ins", file=out)
     for kind in registry.KINDS:
         print(f"  {kind:<10} {', '.join(registry.available(kind)) or 'none'}", file=out)
+    if weights:
+        report_weights(out)
     result = self_check()
     print(f"\nself-check {'passed' if result.passed else 'FAILED'}: {result.message}", file=out)
     return result.passed
+
+
+def report_weights(out: TextIO) -> None:
+    """Print of every known model what it is for, where it is, and the command that gets it where it is not."""
+    print("\nweights", file=out)
+    for entry in known_weights().values():
+        found = entry.find()
+        size = f", {entry.mb} MB" if entry.mb else ""
+        print(f"  {entry.name:<22} {entry.purpose}", file=out)
+        print(f"    licence: {entry.licence}{size}", file=out)
+        if found is None:
+            state = f"missing: {entry.command}"
+        elif entry.intact(found):
+            state = f"here: {found}"
+        else:
+            state = f"NOT THE KNOWN FILE (its SHA-256 differs): {found}"
+        print(f"    {state}", file=out)
+        if entry.note:
+            print(f"    note: {entry.note}", file=out)
 
 
 def self_check() -> SelfCheck:

@@ -7,6 +7,7 @@ from importlib.metadata import EntryPoint
 
 import pytest
 from fakes.chat_server import dead_url
+from fakes.models import model
 from fakes.networks import untrained_vgn
 
 from thinkgrasp import registry, testing
@@ -31,12 +32,25 @@ ASKS_A_SERVER = ("planner", "openai")
 VLPART = ("segmenter", "vlpart")
 NEEDS_VGN = (("generator", "vgn"), ("generator", "vgn_antipodal"))
 CLOUD_NETWORKS = {("generator", "graspnet"): "graspnet", ("generator", "fgc_graspnet"): "fgc"}
-SPECIAL = {ASKS_A_SERVER, VLPART, *NEEDS_VGN, *CLOUD_NETWORKS}
+NEEDS_WEIGHTS = {("segmenter", name) for name in ("grounded_sam", "sam3", "cascade")}
+SPECIAL = {ASKS_A_SERVER, VLPART, *NEEDS_VGN, *CLOUD_NETWORKS, *NEEDS_WEIGHTS}
 
 
 @pytest.mark.parametrize(("kind", "name"), [(k, n) for k in STAGES for n in registered(k) if (k, n) not in SPECIAL])
 def test_stage_keeps_its_contract(kind, name):
     STAGES[kind](registry.load(kind, name))
+
+
+@pytest.mark.parametrize("name", ["grounded_sam", "sam3", "cascade"])
+def test_segmenter_with_random_weights_keeps_its_contract(name):
+    pytest.importorskip("transformers", reason="needs thinkgrasp[langsam]")
+    pair = {"detector": model("grounding_dino"), "masks": model("sam"), "refine_marks": True, "device": "cpu"}
+    settings = {
+        "grounded_sam": pair,
+        "sam3": {"model": model("sam3"), "score_threshold": 0.3, "device": "cpu"},
+        "cascade": {"objects": {"name": "grounded_sam", "settings": pair}, "parts": None},
+    }
+    testing.check_segmenter(registry.load("segmenter", name, **settings[name]))
 
 
 def test_planner_without_its_server_keeps_its_contract():
