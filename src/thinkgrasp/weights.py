@@ -126,6 +126,29 @@ def locate_model(source: str | Path, *, what: str) -> Path:
     return found
 
 
+def locate_file(source: str | Path | None, *, default: str, what: str) -> Path:
+    """Return a file of weights; nothing is downloaded.
+
+    Args:
+        source: A path, which is not looked at here; a name of weights.toml; None = the default.
+        default: A name of weights.toml.
+        what: What the weights are for, as errors call it.
+
+    Raises:
+        ConfigError: A known file is not on this machine; the message holds its licence and the command that gets it.
+    """
+    known = known_weights().get(default if source is None else str(source))
+    if known is None or known.file is None:
+        return Path(source or default).expanduser()
+    found = known.find()
+    if found is None:
+        raise ConfigError(
+            f"{what}: {known.file} is not on this machine (licence: {known.licence}); get it with: {known.command}; or "
+            "give its path, for a generator with --weights FILE"
+        )
+    return found
+
+
 def _split(hub_id: str) -> tuple[str, str | None]:
     hub, _, revision = hub_id.partition("@")
     pinned = next((e.revision for e in known_weights().values() if e.hub == hub), None)

@@ -260,7 +260,7 @@ def test_arrays_that_do_not_belong_together_are_named(weights):
 
 @pytest.mark.parametrize("name", PLUGINS)
 def test_without_weights_it_says_where_they_are_and_under_which_terms(name):
-    with pytest.raises(ConfigError, match=r"--weights FILE.*github\.com.*non-commercial"):
+    with pytest.raises(ConfigError, match=r"non-commercial.*(gdown|github\.com).*--weights FILE"):
         registry.load("generator", name)
 
 

@@ -243,7 +243,7 @@ def test_all_that_is_seen_may_be_the_crop(weights):
 
 
 def test_without_weights_it_says_where_to_get_them_and_under_which_licence():
-    with pytest.raises(ConfigError, match=r"generator\.weights.*vgn_conv\.pth.*BSD 3-Clause.*github\.com/ethz-asl/vgn"):
+    with pytest.raises(ConfigError, match=r"vgn_conv\.pth is not on.*BSD-3-Clause.*github\.com/ethz-asl/vgn.*--weights FILE"):
         VgnGenerator()
     with pytest.raises(ConfigError, match=r"no_such\.pth does not exist"):
         VgnGenerator(weights="no_such.pth")

@@ -183,8 +183,9 @@ def test_a_whole_objects_of_stays():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"weights": None}, r"give weights=FILE; upstream's checkpoint \(MIT project\): https.*CC-BY-NC"),
-        ({"weights": "nowhere.pth"}, "there is no weights file nowhere.pth; upstream's checkpoint"),
+        ({"weights": None}, r"swinbase_part_0a0000\.pth is not on this machine .*CC-BY-NC.*curl .*https"),
+        ({"weights": "vlpart-upstream"}, r"is not on this machine \(licence: MIT.*PeizeSun/VLPart"),
+        ({"weights": "nowhere.pth"}, "weights file nowhere.pth does not exist"),
         ({"threshold": 1}, "threshold"),
         ({"threshold": -0.1}, "threshold"),
         ({"threshold": float("nan")}, "threshold"),

@@ -17,6 +17,7 @@ from thinkgrasp.errors import ConfigError, InputError, MissingDependency
 from thinkgrasp.geometry import apply, invert
 from thinkgrasp.gripper import Gripper
 from thinkgrasp.types import Array, Grasps, Mask, Scene
+from thinkgrasp.weights import locate_file
 
 if TYPE_CHECKING:
     import torch
@@ -52,8 +53,8 @@ class CloudNetworkGenerator(ABC):
     thinned at random to `num_point` points; grasps count whose seed lies on the crop.
 
     Args:
-        weights: The official checkpoint, or any file of its state dict; see docs/grasp_networks.md for where it is
-            obtained, and under which licence.
+        weights: The official checkpoint, or any file of its state dict; or a name of weights.toml; None = the one of
+            weights.toml, if it is on this machine. See docs/grasp_networks.md for its licence.
         device: "cpu", "cuda", ...; None = CUDA where there is one.
         num_point: So many points are sampled; where there are fewer, some come twice.
         margin_m: How far around the crop's bounding box the cloud reaches, in the camera frame.
@@ -66,8 +67,8 @@ class CloudNetworkGenerator(ABC):
 
     name: ClassVar[str]
     """Of the plug-in."""
-    source: ClassVar[str]
-    """Where the official weights are, and what they may be used for."""
+    known: ClassVar[str]
+    """The official weights in weights.toml."""
 
     def __init__(
         self,
@@ -79,11 +80,6 @@ class CloudNetworkGenerator(ABC):
         max_grasps: int = 512,
     ) -> None:
         what = f"{self.name} generator"
-        if weights is None:
-            raise ConfigError(
-                f"{what}: weights is not set; give the path of the official checkpoint with --weights FILE or "
-                f"--set generator.weights=FILE: {self.source}"
-            )
         for key, value, least, most in (("num_point", num_point, 1024, 200_000), ("max_grasps", max_grasps, 1, 1024)):
             if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
                 raise ConfigError(f"{what}: {key} must be a whole number within {least}..{most}, got {value!r}")
@@ -99,7 +95,8 @@ class CloudNetworkGenerator(ABC):
                 raise
             raise MissingDependency("torch", "graspnet", f"the {what}") from None
         chosen = choose_device(device, what=what)
-        self._network = self.network(read_checkpoint(weights, what=what), chosen)
+        file = locate_file(weights, default=self.known, what=what)
+        self._network = self.network(read_checkpoint(file, what=what), chosen)
 
     @staticmethod
     @abstractmethod

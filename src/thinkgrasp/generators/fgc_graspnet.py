@@ -22,10 +22,7 @@ class FGCGraspNetGenerator(CloudNetworkGenerator):
     """
 
     name = "fgc_graspnet"
-    source = (
-        "the RealSense checkpoint that the README of https://github.com/luyh20/FGC-GraspNet links; it states no "
-        "licence and derives from graspnet-baseline, so it is for non-commercial research only"
-    )
+    known = "fgc-graspnet"
 
     @staticmethod
     def network(weights: dict[str, Tensor], device: torch.device) -> Network:

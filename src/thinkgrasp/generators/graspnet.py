@@ -23,10 +23,7 @@ class GraspNetGenerator(CloudNetworkGenerator):
     """
 
     name = "graspnet"
-    source = (
-        "checkpoint-rs.tar (RealSense) or checkpoint-kn.tar (Kinect) of https://github.com/graspnet/graspnet-baseline, "
-        "for non-commercial research only"
-    )
+    known = "graspnet-realsense"
 
     @staticmethod
     def network(weights: dict[str, Tensor], device: torch.device) -> Network:

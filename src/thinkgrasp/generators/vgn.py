@@ -21,6 +21,7 @@ from thinkgrasp.generators.surface import Completed, Float, Upright
 from thinkgrasp.geometry import apply
 from thinkgrasp.gripper import Gripper
 from thinkgrasp.types import Grasps, Mask, Scene
+from thinkgrasp.weights import locate_file
 
 try:
     from thinkgrasp.networks import vgn
@@ -68,7 +69,8 @@ class VgnGenerator:
     middle. Of one that is not fitted it is the quality alone.
 
     Args:
-        weights: File of the network's weights, `vgn_conv.pth`; they do not come with this package.
+        weights: File of the network's weights, `vgn_conv.pth`, which does not come with this package; None = the one
+            among the known weights, if it is on this machine.
         threshold: Least quality.
         variant: Post-processing of the published code ("corl2020") or of its later branch ("devel").
         only_maxima: Leave out all but the best voxel of a neighbourhood, as the network's authors do. Off by default:
@@ -112,12 +114,6 @@ class VgnGenerator:
         tip_height_m: float = 0.006,
         device: str | None = None,
     ) -> None:
-        if weights is None:
-            raise ConfigError(
-                "VGN needs its weights: set generator.weights to the path of vgn_conv.pth. They are not part of this "
-                "package; its authors (ETH Zurich, ASL) published them under BSD 3-Clause at "
-                "https://github.com/ethz-asl/vgn, see docs/vgn.md"
-            )
         if variant not in get_args(vgn.Variant):
             allowed = ", ".join(get_args(vgn.Variant))
             raise ConfigError(f"VGN generator: no variant {variant!r}; allowed are {allowed}")
@@ -135,7 +131,8 @@ class VgnGenerator:
         for name, value in (("body_margin_m", body_margin_m), ("tip_height_m", tip_height_m)):
             if not (np.isfinite(value) and value >= 0):
                 raise ConfigError(f"VGN generator: {name} must be at least 0, got {value}")
-        self.network = vgn.load_vgn(weights, choose_device(device, what="VGN"))
+        file = locate_file(weights, default="vgn", what="VGN generator")
+        self.network = vgn.load_vgn(file, choose_device(device, what="VGN"))
         self.threshold = threshold
         self.variant: vgn.Variant = variant
         self.only_maxima = only_maxima

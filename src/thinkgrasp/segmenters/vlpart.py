@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from thinkgrasp.errors import ConfigError, InputError, MissingDependency
 from thinkgrasp.segmenters.box_masks import BoxMask, MaskModel, model_masks, scene_mask
 from thinkgrasp.types import Degradation, Mask, Plan, PlanKind, Proposal, Scene, Segment, Segmentation
+from thinkgrasp.weights import locate_file
 
 if TYPE_CHECKING:
     from thinkgrasp.networks.part_finder import PartFinder
@@ -32,18 +33,13 @@ FILL_PX = 400
 CACHE = "~/.cache/thinkgrasp/vlpart"
 INSIDE = 0.5
 """With a planned mark: this share of a box must lie in the box of the marked proposal."""
-WEIGHTS = (
-    "upstream's checkpoint (MIT project): https://github.com/PeizeSun/VLPart/releases/download/v0.1/"
-    "swinbase_cascade_lvis_paco_pascalpart_partimagenet.pth; the paper's swinbase_part_0a0000.pth belongs to a project "
-    "under CC-BY-NC-4.0, not for commercial use"
-)
 
 
 class VLPartSegmenter:
     """Answer a plan with the masks of the boxes that VLPart finds for its target.
 
     Args:
-        weights: VLPart's checkpoint.
+        weights: VLPart's checkpoint, or a name of weights.toml; None = the paper's, if it is on this machine.
         text_weights: CLIP's RN50.pt, or another file that holds its text tower; None = the one in `weights`.
         text_table: A .npz of fixed names and their vectors, instead of a text tower.
         tokenizer: Folder of CLIP's tokeniser, or its repository on the hub, already downloaded; None = OpenAI's.
@@ -54,7 +50,8 @@ class VLPartSegmenter:
         max_segments: Keep at most this many.
         device: None = a CUDA device where there is one, else the CPU.
         dtype: "float32", "bfloat16" or "float16".
-        masker: A model that turns boxes into masks (SAM); None = the scene's proposals and depth, which is said.
+        masker: What turns boxes into masks: a model, or the name or folder of a SAM, which is shared with other
+            segmenters that use it; None = the scene's proposals and depth, which is said.
         config: Sizes of the network; None = the Swin-B checkpoint's.
 
     Raises:
@@ -76,19 +73,16 @@ class VLPartSegmenter:
         max_segments: int = 10,
         device: str | None = None,
         dtype: str = "float32",
-        masker: MaskModel | None = None,
+        masker: MaskModel | str | Path | None = None,
         config: VLPartConfig | None = None,
     ) -> None:
-        if weights is None:
-            raise ConfigError(f"vlpart segmenter: give weights=FILE; {WEIGHTS}")
         if isinstance(threshold, bool) or not 0 <= threshold < 1:
             raise ConfigError(f"vlpart segmenter: threshold must lie in [0, 1), got {threshold!r}")
         if isinstance(max_segments, bool) or not isinstance(max_segments, int) or max_segments < 1:
             raise ConfigError(f"vlpart segmenter: max_segments must be a whole number above 0, got {max_segments!r}")
-        if masker is not None and not callable(getattr(masker, "masks", None)):
+        if not (masker is None or isinstance(masker, str | Path) or callable(getattr(masker, "masks", None))):
             raise ConfigError(f"vlpart segmenter: masker must have a method masks, got {type(masker).__name__}")
-        if not Path(weights).expanduser().is_file():
-            raise ConfigError(f"vlpart segmenter: there is no weights file {weights}; {WEIGHTS}")
+        file = locate_file(weights, default="vlpart-swin-base", what="vlpart segmenter")
         try:
             from thinkgrasp.networks.part_finder import PartFinder, TextSource
         except ModuleNotFoundError as error:
@@ -103,10 +97,10 @@ class VLPartSegmenter:
             tokenizer_revision=tokenizer_revision or defaults.tokenizer_revision,
             cache=None if cache_folder is None else Path(cache_folder).expanduser(),
         )
-        self.finder: PartFinder = PartFinder(weights, text, variant=variant, config=config, device=device, dtype=dtype)
+        self.finder: PartFinder = PartFinder(file, text, variant=variant, config=config, device=device, dtype=dtype)
         self.threshold = threshold
         self.max_segments = max_segments
-        self.masker = masker
+        self.masker = _shared_sam(masker, device) if isinstance(masker, str | Path) else masker
 
     def segment(self, scene: Scene, plan: Plan) -> Segmentation:
         """Return a mask for each box of the plan's target, best first.
@@ -148,6 +142,12 @@ class VLPartSegmenter:
         if self.masker is not None:
             return model_masks(self.masker, scene, boxes_xyxy, FILL_PX)
         return [scene_mask(scene, box, planned) for box in boxes_xyxy]
+
+
+def _shared_sam(model: str | Path, device: str | None) -> MaskModel:
+    from thinkgrasp.segmenters.segment_anything import SegmentAnything
+
+    return SegmentAnything.shared(model, device=device)
 
 
 def part_name(target: str, kind: PlanKind = "part") -> str:
