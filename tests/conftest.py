@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,8 @@ from PIL import Image
 
 from thinkgrasp.pipeline import Pipeline
 from thinkgrasp.types import Frame
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # the tests run side by side: threads would wait for one another
 
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("repeatable")

@@ -105,7 +105,7 @@ class TestEpisode:
         assert last.success
         assert set(delivered.data) == {
             *("schema", "success", "steps", "end", "instruction", "goal", "preset", "seed", "out"),
-            *("decisions", "outcomes"),
+            *("decisions", "outcomes", "usage"),
         }
         assert delivered.data["schema"] == "thinkgrasp/episode-1"
 

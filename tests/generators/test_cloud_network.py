@@ -47,7 +47,7 @@ class Listening:
 
 class ListeningGenerator(CloudNetworkGenerator):
     name = "listening"
-    source = "nowhere"
+    known = "graspnet-realsense"
 
     @staticmethod
     def network(weights, device):

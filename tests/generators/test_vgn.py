@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -43,25 +45,44 @@ def generate(generator, scene: Scene, crop: np.ndarray, gripper=GRIPPER) -> Gras
 # -- the real network -------------------------------------------------------------------------------------------------
 
 
+FROM_ABOVE = """
+import sys
+import numpy as np
+from thinkgrasp.generators.vgn import VgnGenerator
+from thinkgrasp.gripper import GRIPPERS
+from thinkgrasp.testing import sample_scene, strict_scene
+
+weights, which = sys.argv[1:]
+full, scene = sample_scene(), {"support plane": sample_scene, "camera pose alone": strict_scene}[which]()
+generator, found = VgnGenerator(weights=weights), 0
+for proposal in full.proposals:
+    grasps = generator.generate(scene, proposal.mask, GRIPPERS["robotiq_2f85"], np.random.default_rng(0))
+    if not len(grasps):
+        continue
+    found += 1
+    best = grasps[:20]
+    assert (best.rotations[:, :, 2] @ -full.support.normal > 0).mean() > 0.9
+    seen = scene.points[proposal.mask & np.isfinite(scene.points[..., 2])]
+    reach = np.linalg.norm(best.positions[:, None] - seen, axis=2).min(axis=1)
+    assert np.median(reach) < 0.03
+    assert (full.support.height(best.positions) > 0).all()
+    assert (np.diff(grasps.scores) <= 0).all()
+assert found >= 8, found
+"""
+
+
 @needs_weights
-@pytest.mark.parametrize("scene", [sample_scene(), strict_scene()], ids=["support plane", "camera pose alone"])
-def test_things_on_a_table_are_grasped_from_above_where_they_are(scene):
-    full = sample_scene()
-    up = full.support.normal
-    found = 0
-    for proposal in full.proposals:
-        grasps = generate(trained(), scene, proposal.mask)
-        if not len(grasps):
-            continue
-        found += 1
-        best = grasps[:20]
-        assert (best.rotations[:, :, 2] @ -up > 0).mean() > 0.9
-        seen = scene.points[proposal.mask & np.isfinite(scene.points[..., 2])]
-        reach = np.linalg.norm(best.positions[:, None] - seen, axis=2).min(axis=1)
-        assert np.median(reach) < 0.03
-        assert (full.support.height(best.positions) > 0).all()
-        assert (np.diff(grasps.scores) <= 0).all()
-    assert found >= 8
+@pytest.mark.parametrize("which", ["support plane", "camera pose alone"])
+def test_things_on_a_table_are_grasped_from_above_where_they_are(which):
+    """In a process of its own: within a whole test run it failed once, and not again when that run was repeated."""
+    done = subprocess.run(
+        [sys.executable, "-c", FROM_ABOVE, str(WEIGHTS), which],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 @needs_weights
@@ -243,7 +264,9 @@ def test_all_that_is_seen_may_be_the_crop(weights):
 
 
 def test_without_weights_it_says_where_to_get_them_and_under_which_licence():
-    with pytest.raises(ConfigError, match=r"vgn_conv\.pth is not on.*BSD-3-Clause.*github\.com/ethz-asl/vgn.*--weights FILE"):
+    with pytest.raises(
+        ConfigError, match=r"vgn_conv\.pth is not on.*BSD-3-Clause.*github\.com/ethz-asl/vgn.*--weights FILE"
+    ):
         VgnGenerator()
     with pytest.raises(ConfigError, match=r"no_such\.pth does not exist"):
         VgnGenerator(weights="no_such.pth")
