@@ -35,7 +35,7 @@ ORDER = [
     ["testbed"],
     ["environment", "demo", "benchmark"],
     ["testing"],
-    ["doctor", "summary"],
+    ["doctor", "summary", "stage_options"],
     ["server"],
     ["cli"],
 ]

@@ -18,53 +18,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from tyro.conf import Positional, UseAppendAction, arg, subcommand
+from tyro.conf import Positional, arg, subcommand
 
 from thinkgrasp import __version__
 from thinkgrasp.errors import ConfigError, InputError, ThinkGraspError
 from thinkgrasp.outputs import check_writable, make_folder, one_line, write_atomic
+from thinkgrasp.stage_options import DEFAULT_STAGES, StageOptions, configure
 
 if TYPE_CHECKING:
-    from thinkgrasp.config import PipelineConfig
     from thinkgrasp.gripper import Gripper
     from thinkgrasp.types import Decision
 
 OVERLAY_SUFFIXES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
 DONE, NOTHING, BAD_INPUT, BUG, INTERRUPTED = 0, 1, 2, 3, 130
-ASK_NOTHING = ("offline", "literal")
-"""Planners that ask no model."""
 ORACLE_STAGES = ("scene", "planner", "segmenter")
 """Replaced by the simulator's truth, so that settings of theirs would do nothing."""
-
-
-@dataclass(frozen=True)
-class StageOptions:
-    """Which stages run, and with which settings."""
-
-    preset: Annotated[str, arg(metavar="NAME|FILE")] = "offline"
-    """A preset (see `thinkgrasp presets`) or a configuration saved as JSON."""
-    gripper: Annotated[str | None, arg(metavar="NAME|FILE")] = None
-    """Built-in gripper or a JSON file with its geometry."""
-    seed: Annotated[int | None, arg(metavar="INT")] = None
-    """Seed of everything random."""
-    scene: Annotated[str | None, arg(metavar="NAME")] = None
-    """Scene plug-in; "none" turns proposals and graph off (the paper's strict mode)."""
-    planner: Annotated[str | None, arg(metavar="NAME")] = None
-    """Planner plug-in (see `thinkgrasp plugins`)."""
-    segmenter: Annotated[str | None, arg(metavar="NAME")] = None
-    """Segmenter plug-in."""
-    generator: Annotated[str | None, arg(metavar="NAME")] = None
-    """Grasp generator plug-in."""
-    record: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Keep what a planner asks of its model, and the replies, in this cassette."""
-    replay: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Answer such a planner from this cassette, without a network or a key."""
-    weights: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Weights of the generator's network; short for --set generator.weights=FILE."""
-    set: Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="KEY=VALUE")] = ()
-    """One setting, for example planner.grid=4 or checks.collision.voxel_m=0.002."""
-    debug: bool = False
-    """Show the traceback of an error."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +57,7 @@ class GraspCommand:
     """Write the annotated image here (.png, .jpg, .webp)."""
     view: Annotated[Path | None, arg(metavar="PATH")] = None
     """Write the 3-D view here (.html)."""
-    stages: tyro.conf.OmitArgPrefixes[StageOptions] = StageOptions()
+    stages: tyro.conf.OmitArgPrefixes[StageOptions] = DEFAULT_STAGES
 
     def run(self) -> int:
         """Carry the command out and return the exit code."""
@@ -100,7 +68,7 @@ class GraspCommand:
         from thinkgrasp.config import make_pipeline
 
         _check_text(self.instruction)
-        config = _configure(self.stages)
+        config = configure(self.stages)
         frame = load_frame(
             self.color, self.depth, self.camera, depth_scale=self.depth_scale, workspace_mask=self.workspace_mask
         )
@@ -144,7 +112,7 @@ class DemoCommand:
     """Where --live listens, on this machine only."""
     json: bool = False
     """Print the episode as JSON."""
-    stages: tyro.conf.OmitArgPrefixes[StageOptions] = StageOptions()
+    stages: tyro.conf.OmitArgPrefixes[StageOptions] = DEFAULT_STAGES
 
     def run(self) -> int:
         """Carry the command out and return the exit code."""
@@ -160,7 +128,7 @@ class DemoCommand:
         if not 1 <= self.port <= 65535:
             raise ConfigError(f"--port must lie in 1 to 65535, got {self.port}")
         oracle = self.stages.preset == "oracle"
-        config = _configure(replace(self.stages, preset="offline") if oracle else self.stages)
+        config = configure(replace(self.stages, preset="offline") if oracle else self.stages)
         if oracle and any(getattr(config, s) != getattr(load_config("offline"), s) for s in ORACLE_STAGES):
             raise ConfigError(f"--preset oracle brings its own {', '.join(ORACLE_STAGES)}; leave their settings out")
         make_folder(self.out)
@@ -338,32 +306,6 @@ def _fail(error: BaseException, code: int, message: str, *, debug: bool) -> int:
 
 def _progress(text: str) -> None:
     print(one_line(text), file=sys.stderr)
-
-
-def _configure(options: StageOptions) -> PipelineConfig:
-    from thinkgrasp.config import load_config, override, parse_assignment
-
-    config = load_config(options.preset)
-    if options.scene is not None:
-        config = override(config, "scene", None if options.scene == "none" else options.scene)
-    for key in ("planner", "segmenter", "generator", "gripper", "seed"):
-        value = getattr(options, key)
-        if value is not None:
-            config = override(config, key, value)
-    for name in ("record", "replay"):
-        value = getattr(options, name)
-        if value is not None:
-            if config.planner.name in ASK_NOTHING:
-                raise ConfigError(
-                    f"--{name} is of use only where a model is asked; the planner {config.planner.name!r} asks none: "
-                    "add --preset vlm or --planner openai"
-                )
-            config = override(config, f"planner.{name}", str(value))
-    if options.weights is not None:
-        config = override(config, "generator.weights", str(options.weights))
-    for assignment in options.set:
-        config = override(config, *parse_assignment(assignment))
-    return config
 
 
 def _check_text(instruction: str) -> None:
