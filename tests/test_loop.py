@@ -120,6 +120,15 @@ def test_a_spent_budget_ends_the_episode() -> None:
     assert episode.usage == Usage("gpt-4o", 200, 20, 1.0, 2, 4.0)
 
 
+def test_a_budget_spent_at_the_second_camera_ends_the_episode_too() -> None:
+    planner = SpendingPlanner()
+    planner.asked = 1
+    table = FakeTable()
+    cameras = [FakeCamera(table), FakeCamera(table, POSE)]
+    episode = run_episode(cameras, fake_pipeline(planner=planner), FakeRobot(table), "the green block")
+    assert (episode.end, planner.asked) == ("budget_spent", 3)
+
+
 def test_decisions_that_are_not_acted_upon_cost_too() -> None:
     planner = SpendingPlanner()
     episode, _ = run(FakeTable(), pipeline=fake_pipeline(planner=planner, checks={"none": FakeCheck(2.0)}))

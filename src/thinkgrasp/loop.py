@@ -169,7 +169,7 @@ def _decide(
         if decision is first or decision.status == "no_grasp":
             for camera in cameras[1:]:
                 other = decide(camera.read(), memory)
-                if other.grasp is not None:
+                if other.grasp is not None or other.plan.out_of_budget:
                     return other, memory
                 if other.status == "no_grasp":
                     memory = _remember(memory, other, Outcome(False, "no_grasp"))
