@@ -276,7 +276,8 @@ class OpenAIPlanner:
         other = self._fallback.plan(scene, instruction, memory)
         if not other.found:
             return None
-        return f"it takes nothing, but there is something to take, for example mark {other.mark}: {other.rationale}"
+        shown = f"mark {other.mark}: {other.rationale}" if self.style == "marks" else other.target
+        return f"it takes nothing, but there is something to take, for example {shown}"
 
     def _no_plan(self, reason: str, instead: str) -> Plan:
         rationale, cell = f"the vision-language model gave no plan: {reason}", middle_cell(self.grid)
