@@ -30,7 +30,7 @@ def test_indices_are_those_of_the_official_kernels(case):
     data = golden("ops")
     numbers = [float(n) for n in case.split("_")[1:] if re.fullmatch(r"-?[\d.]+", n)]
     if case.startswith("fps"):
-        found = furthest_points(tensor(data[case.replace("inds", "xyz")]), len(data[case]))
+        found, _ = furthest_points(tensor(data[case.replace("inds", "xyz")]), len(data[case]))
     elif "ball" in case:
         radius, count = numbers
         found = ball_query(tensor(data["query/xyz"]), tensor(data["query/new_xyz"]), radius, int(count))
@@ -75,29 +75,35 @@ def fps_as_threads(points: np.ndarray, count: int) -> list[int]:
 
 
 @pytest.mark.parametrize(
-    "points",
+    ("case", "points"),
     [
-        np.stack(np.meshgrid(*[np.arange(4) * 0.05 + 0.1] * 3), -1).reshape(-1, 3),  # ties everywhere
-        np.repeat(np.random.default_rng(0).uniform(0.1, 0.4, (9, 3)), 5, axis=0),  # duplicates
-        np.random.default_rng(1).uniform(-0.05, 0.05, (70, 3)),  # about the origin
-        np.array([[0.2, 0.1, 0.5]]),
-        np.random.default_rng(2).uniform(0.1, 0.4, (600, 3)),
+        ("grid", np.stack(np.meshgrid(*[np.arange(4) * 0.05 + 0.1] * 3), -1).reshape(-1, 3)),
+        ("duplicates", np.repeat(np.random.default_rng(0).uniform(0.1, 0.4, (9, 3)), 5, axis=0)),
+        ("about the origin", np.random.default_rng(1).uniform(-0.05, 0.05, (70, 3))),
+        ("one", np.array([[0.2, 0.1, 0.5]])),
+        ("two", np.array([[0.2, 0.1, 0.5], [0.2, 0.1, 0.6]])),
+        ("random", np.random.default_rng(2).uniform(0.1, 0.4, (600, 3))),
+        ("slabs", np.random.default_rng(3).normal(0.5, (0.02, 0.4, 0.02), (2000, 3))),
+        ("pairs", np.repeat(np.random.default_rng(4).uniform(0.1, 0.9, (300, 3)), 2, axis=0)[::-1]),
     ],
-    ids=["grid", "duplicates", "origin", "one", "random"],
 )
-def test_furthest_points_follow_the_kernel(points):
+def test_furthest_points_follow_the_kernel(case, points):
     points = points.astype(F32)
-    picked = furthest_points(tensor(points), 40).tolist()
+    index, unique = furthest_points(tensor(points), 40)
+    picked = index.tolist()
     assert picked == fps_as_threads(points, 40)
+    assert unique == (case in ("about the origin", "random", "slabs"))
+    if unique:
+        assert fps_as_threads(points[picked], 30) == list(range(30))
     squared = torch.from_numpy((points.astype(F32) ** 2).sum(axis=1))
     order = point_queries._tie_order(len(points), torch.device("cpu"))
     order = order[squared[order] > 1e-3]
     if len(order):
-        assert point_queries._picks_on_device(tensor(points), order, 40).tolist() == picked
+        assert point_queries._picks_on_device(tensor(points), order, 40)[0].tolist() == picked
 
 
 def test_points_about_the_origin_alone_pick_the_first():
-    assert furthest_points(torch.full((5, 3), 0.001), 4).tolist() == [0, 0, 0, 0]
+    assert furthest_points(torch.full((5, 3), 0.001), 4)[0].tolist() == [0, 0, 0, 0]
 
 
 def first_hits(hit: np.ndarray, count: int) -> np.ndarray:

@@ -10,6 +10,7 @@ References:
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -22,11 +23,12 @@ ORIGIN_SQUARED_M = 1e-3
 """Furthest-point sampling leaves out points whose squared distance from the frame's origin is no larger."""
 _FAR = 1e10
 _THREADS = 512
+_BLOCK = 256
 _POINTS_PER_BLOCK = 2048
 _CENTERS_PER_BLOCK = 512
 
 
-def furthest_points(points: Tensor, count: int) -> Tensor:
+def furthest_points(points: Tensor, count: int) -> tuple[Tensor, bool]:
     """Pick points one by one, each furthest from those picked before; the first is point 0.
 
     Points within 3.16 cm of the frame's origin are never picked, except point 0. Once every other point is taken, picks
@@ -38,7 +40,8 @@ def furthest_points(points: Tensor, count: int) -> Tensor:
         count: How many, more than N included.
 
     Returns:
-        Indices (count,) int64.
+        Indices (count,) int64, and whether no pick is known to have been a tie or a repeat: then the same picks, made
+        from these points in this order, are the first of them. On CUDA that is not known.
 
     Raises:
         InputError: There is no point.
@@ -48,7 +51,7 @@ def furthest_points(points: Tensor, count: int) -> Tensor:
     order = _tie_order(len(points), points.device)
     order = order[squared[order].double() > ORIGIN_SQUARED_M]
     if len(order) == 0:
-        return torch.zeros(count, dtype=torch.long, device=points.device)
+        return torch.zeros(count, dtype=torch.long, device=points.device), False
     pick = _picks_on_cpu if points.device.type == "cpu" else _picks_on_device
     return pick(points, order, count)
 
@@ -60,26 +63,52 @@ def _tie_order(n: int, device: torch.device) -> Tensor:
     return torch.from_numpy(np.argsort(reversed_bits[np.arange(n) % (1 << bits)], kind="stable")).to(device)
 
 
-def _picks_on_cpu(points: Tensor, order: Tensor, count: int) -> Tensor:
-    """The loop in numpy, whose calls on small arrays cost least."""
-    candidates = np.ascontiguousarray(points[order].numpy().T)
-    where = order.numpy()
-    picked = np.zeros(count, np.int64)
-    far = np.full(len(where), _FAR, np.float32)
+def _picks_on_cpu(points: Tensor, order: Tensor, count: int) -> tuple[Tensor, bool]:
+    """The loop in numpy, whose calls on small arrays cost least.
+
+    A pick brings no point nearer that is further from it than the last pick was from all before. So the points are
+    sorted along one axis and kept in blocks with the largest distance of each, and a pick looks at its slab alone.
+    """
+    xyz = np.ascontiguousarray(points[order].numpy().T)
+    axis = int(np.ptp(xyz, axis=1).argmax())
+    rank = np.argsort(xyz[axis], kind="stable")
+    where = order.numpy()[rank]
+    n_blocks = -(-len(rank) // _BLOCK)
+    candidates = np.pad(np.take(xyz, rank, axis=1), ((0, 0), (0, n_blocks * _BLOCK - len(rank))), mode="edge")
+    starts: list[float] = candidates[axis, ::_BLOCK].tolist()
+    far = np.full(n_blocks * _BLOCK, _FAR, np.float32)
+    far[len(rank) :] = -1
+    blocks, furthest = far.reshape(n_blocks, _BLOCK), np.empty(n_blocks, np.float32)
     squares = np.empty_like(candidates)
+    picked = np.zeros(count, np.int64)
     last = points[0].numpy()[:, None]
+    reach, unique = np.inf, True
     for i in range(1, count):
-        np.subtract(candidates, last, out=squares)
-        np.multiply(squares, squares, out=squares)
-        distance = np.add(squares[0], squares[1], out=squares[0])
-        np.minimum(far, np.add(distance, squares[2], out=distance), out=far)
-        k = far.argmax()
+        at = float(last[axis, 0])
+        low = max(bisect_left(starts, at - reach) - 1, 0)
+        high = max(bisect_right(starts, at + reach), low + 1)
+        slab = slice(low * _BLOCK, high * _BLOCK)
+        square, distance = squares[:, slab], squares[0, slab]
+        np.subtract(candidates[:, slab], last, out=square)
+        np.multiply(square, square, out=square)
+        np.add(distance, square[1], out=distance)
+        np.minimum(far[slab], np.add(distance, square[2], out=distance), out=far[slab])
+        np.maximum.reduce(blocks[low:high], axis=1, out=furthest[low:high])
+        block = int(furthest.argmax())
+        most, row = furthest[block], blocks[block]
+        k = block * _BLOCK + int(row.argmax())
+        if np.count_nonzero(furthest == most) > 1 or np.count_nonzero(row == most) > 1:
+            tied = np.flatnonzero(far == most)
+            k = tied[rank[tied].argmin()]
+            unique = False
+        unique = unique and bool(most > 0)
+        reach = float(most) ** 0.5 * (1 + 1e-5)
         picked[i] = where[k]
         last = candidates[:, k : k + 1]
-    return torch.from_numpy(picked)
+    return torch.from_numpy(picked), unique
 
 
-def _picks_on_device(points: Tensor, order: Tensor, count: int) -> Tensor:
+def _picks_on_device(points: Tensor, order: Tensor, count: int) -> tuple[Tensor, bool]:
     """The same loop without waiting for the device."""
     candidates = points[order].T.contiguous()
     picked = torch.zeros(count, dtype=torch.long, device=points.device)
@@ -90,7 +119,7 @@ def _picks_on_device(points: Tensor, order: Tensor, count: int) -> Tensor:
         k = far.argmax(keepdim=True)
         picked[i : i + 1] = order[k]
         last = candidates.index_select(1, k)
-    return picked
+    return picked, False
 
 
 def ball_query(points: Tensor, centers: Tensor, radius: float, count: int) -> Tensor:

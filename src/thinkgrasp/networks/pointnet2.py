@@ -110,6 +110,8 @@ class Level:
 
     inds: Tensor
     """(n,) indices into the points it was given."""
+    in_order: bool
+    """Picking again, from these points, would take them one after the other."""
     ball_idx: Tensor
     """(n, slots) the points grouped about each, likewise."""
     xyz: Tensor
@@ -135,9 +137,12 @@ class SetAbstraction(nn.Module):
         self.n_samples = n_samples
         self.mlp_module = SharedMLP(widths)
 
-    def forward(self, xyz: Tensor, features: Tensor | None) -> Level:
-        """Abstract points (N, 3) [m] with features (N, C)."""
-        inds = furthest_points(xyz, self.n_points)
+    def forward(self, xyz: Tensor, features: Tensor | None, *, in_order: bool = False) -> Level:
+        """Abstract points (N, 3) [m] with features (N, C), in the order of a level's picks or in any."""
+        if in_order:
+            inds = torch.arange(self.n_points, device=xyz.device)
+        else:
+            inds, in_order = furthest_points(xyz, self.n_points)
         centers = xyz[inds]
         ball_idx = ball_query(xyz, centers, self.radius, self.n_samples)
         mlp = GroupMLP(self.mlp_module, features)
@@ -148,7 +153,7 @@ class SetAbstraction(nn.Module):
             offsets = (near - center[:, None]) / self.radius
             largest = partial(_largest, groups=len(index))
             pooled.append(mlp.pooled(offsets.flatten(0, 1), index.flatten(), largest))
-        return Level(inds, ball_idx, centers, torch.cat(pooled))
+        return Level(inds, in_order, ball_idx, centers, torch.cat(pooled))
 
 
 def _largest(rows: Tensor, groups: int) -> Tensor:
@@ -212,9 +217,9 @@ class Backbone(nn.Module):
     def forward(self, cloud: Tensor) -> Seeds:
         """Find seeds in a cloud (N, 3) [m]."""
         one = self.sa1(cloud, None)
-        two = self.sa2(one.xyz, one.features)
-        three = self.sa3(two.xyz, two.features)
-        four = self.sa4(three.xyz, three.features)
+        two = self.sa2(one.xyz, one.features, in_order=one.in_order)
+        three = self.sa3(two.xyz, two.features, in_order=two.in_order)
+        four = self.sa4(three.xyz, three.features, in_order=three.in_order)
         fp1 = self.fp1(three.xyz, three.features, four.xyz, four.features)
         fp2 = self.fp2(two.xyz, two.features, three.xyz, fp1)
         return Seeds((one, two, three, four), fp1, fp2)
