@@ -35,7 +35,7 @@ ORDER = [
     ["testbed"],
     ["environment", "demo", "benchmark"],
     ["testing"],
-    ["doctor", "summary", "stage_options"],
+    ["doctor", "summary", "stage_options", "bench_command"],
     ["server"],
     ["cli"],
 ]

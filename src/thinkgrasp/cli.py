@@ -21,6 +21,7 @@ import tyro
 from tyro.conf import Positional, arg, subcommand
 
 from thinkgrasp import __version__
+from thinkgrasp.bench_command import BenchCommand
 from thinkgrasp.errors import ConfigError, InputError, ThinkGraspError
 from thinkgrasp.outputs import check_writable, make_folder, one_line, write_atomic
 from thinkgrasp.stage_options import DEFAULT_STAGES, StageOptions, configure
@@ -229,6 +230,7 @@ class PresetsCommand:
 Command = (
     Annotated[GraspCommand, subcommand("grasp")]
     | Annotated[DemoCommand, subcommand("demo")]
+    | Annotated[BenchCommand, subcommand("bench")]
     | Annotated[DoctorCommand, subcommand("doctor")]
     | Annotated[PluginsCommand, subcommand("plugins")]
     | Annotated[PresetsCommand, subcommand("presets")]
@@ -268,7 +270,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, BUG, f"{message} (this is a bug; --debug shows where)", debug=debug)
 
 
-def _parse(args: list[str]) -> GraspCommand | DemoCommand | DoctorCommand | PluginsCommand | PresetsCommand | int:
+def _parse(args: list[str]) -> Command | int:
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):

@@ -1,0 +1,85 @@
+"""Where a benchmark runs: on a Ray cluster, one core per group of episodes. Results are those of local processes."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from thinkgrasp.benchmark.plan import BenchmarkPlan
+from thinkgrasp.benchmark.records import EpisodeRecord, Record, SceneRecord
+from thinkgrasp.benchmark.runner import THREAD_VARIABLES, Died, Group, Source, run_group
+from thinkgrasp.errors import ConfigError, MissingDependency
+
+
+def ray_workers(address: str) -> Source:
+    """Return a source of the workers of a cluster, on whose nodes thinkgrasp is installed.
+
+    Args:
+        address: "HOST:PORT" of the cluster's head, "auto" for the one that this machine belongs to, or "local" for
+            one that is started for this run.
+
+    Raises:
+        MissingDependency: Ray is not installed.
+        ConfigError: The cluster cannot be reached.
+    """
+    try:
+        import ray
+    except ModuleNotFoundError as error:
+        raise MissingDependency("ray", "ray", "running a benchmark on a cluster") from error
+    environment = {"env_vars": dict.fromkeys(THREAD_VARIABLES, "1")}
+    try:
+        ray.init(
+            address=address, runtime_env=environment, log_to_driver=False, configure_logging=False,
+            ignore_reinit_error=True,
+        )  # fmt: skip
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise ConfigError(f"the Ray cluster {address!r} cannot be reached: {error}") from error
+    remote: Any = ray.remote(num_cpus=1, max_retries=0)(_records)
+
+    def run(plan: BenchmarkPlan, groups: deque[Group]) -> Iterator[Record | Died]:
+        running: dict[Any, Group] = {}
+        shared = ray.put(plan)
+        slots = max(1, int(ray.cluster_resources().get("CPU", 1)))
+        try:
+            while groups or running:
+                while groups and len(running) < slots:
+                    group = groups.popleft()
+                    running[remote.remote(shared, group)] = group
+                (ready,), _ = ray.wait(list(running), num_returns=1)
+                group = running.pop(ready)
+                try:
+                    record: Record = ray.get(next(ready))
+                except StopIteration:
+                    continue
+                except ray.exceptions.RayError as error:
+                    yield Died(group, f"its worker was lost: {type(error).__name__}")
+                    continue
+                if isinstance(record, SceneRecord):
+                    group = replace(group, needs_scene=False)
+                elif isinstance(record, EpisodeRecord):
+                    group = replace(group, methods=group.methods[1:])
+                running[ready] = group
+                yield record
+        finally:
+            for left in running:
+                ray.cancel(left, force=True)
+
+    return run
+
+
+def _records(plan: BenchmarkPlan, group: Group) -> Iterator[Record]:
+    """Yield the records of a group as they come."""
+    said: queue.SimpleQueue[Record | None] = queue.SimpleQueue()
+
+    def work() -> None:
+        try:
+            run_group(plan, group, said.put)
+        finally:
+            said.put(None)
+
+    threading.Thread(target=work, daemon=True).start()
+    yield from iter(said.get, None)
