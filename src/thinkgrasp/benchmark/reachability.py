@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thinkgrasp.benchmark.perfect_model import PictureTruth, view_of_picture
-from thinkgrasp.benchmark.true_grasps import ENGAGEMENT_M, TrueGrasps, grasps_on, reach_past, surface_points
+from thinkgrasp.benchmark.true_grasps import ENGAGEMENT_M, TrueGrasps, grasps_on, reach_beside, surface_points
 from thinkgrasp.errors import InputError
 from thinkgrasp.gripper import GRIPPERS, Gripper
 from thinkgrasp.motion.arm import ArmMotion
@@ -108,7 +108,6 @@ class Reachability:
         self._views = tuple(_small(view) for view in views)
         self._gripper = gripper or GRIPPERS["robotiq_2f85"]
         self._motion = motion or ArmMotion(standoff_m=STANDOFF_M)
-        self._radii = np.array([np.linalg.norm(surface_points(o), axis=1).max() for o in world.objects])
         self.refresh()
 
     def refresh(self) -> None:
@@ -146,18 +145,14 @@ class Reachability:
         depth = np.minimum(np.minimum(grasps.reach, _above_table(grasps, gripper)), PAD_SHARE * gripper.pad_length_m)
         good = np.flatnonzero(depth >= ENGAGEMENT_M)[:MAX_GRASPS]
         grasps, depth = grasps[good], depth[good]
-        swept = gripper.finger_length_m + gripper.palm_size_m[2] + STANDOFF_M
-        away = swept + self._radii[index] + self._radii
-        near = np.linalg.norm(self._poses[:, :3, 3] - self._poses[index, :3, 3], axis=1) < away
-        others = tuple(i for i in self._present if i != index and near[i])
-        if not others:
-            return _Approaches(grasps, depth, others, np.zeros((0, len(grasps)), bool))
-        bodies = [self._cloud(i) for i in others]
-        starts = np.cumsum([0, *(len(b) for b in bodies[:-1])])
-        reach = reach_past(grasps, gripper, np.concatenate(bodies), starts, swept)
+        others = tuple(i for i in self._present if i != index)
+        reach = np.full((len(others), len(grasps)), np.inf)
+        for row, i in enumerate(others):
+            obj, T = self.world.objects[i], self._poses[i]
+            reach[row] = reach_beside(grasps, depth, gripper, obj, T, STANDOFF_M)
         blocks = reach < ENGAGEMENT_M
-        depth = np.minimum(depth, np.where(blocks, np.inf, reach).min(axis=0))
-        return _Approaches(grasps, depth, others, blocks)
+        free = np.where(blocks, np.inf, reach).min(axis=0, initial=np.inf)
+        return _Approaches(grasps, np.minimum(depth, free), others, blocks)
 
     def _cloud(self, index: int) -> Float:
         if index not in self._clouds:
@@ -183,18 +178,22 @@ class Reachability:
         are the objects in the way of its fingers, palm or way in; or, where those are clear, the objects each of which
         alone keeps the arm away. All sets of the least size count. Empty too where no such grasp exists.
         """
-        return self._once("blockers", index, self._find_blockers)
+        return self._once("blockers", index, self._find_blockers)[0]
 
-    def _find_blockers(self, index: int) -> frozenset[int]:
+    def blocking_size(self, index: int) -> int:
+        """Return the size of an object's smallest blocking sets; 0 where `blockers` is empty."""
+        return self._once("blockers", index, self._find_blockers)[1]
+
+    def _find_blockers(self, index: int) -> tuple[frozenset[int], int]:
         if index not in self._present or self.takeable(index):
-            return frozenset()
+            return frozenset(), 0
         ways = self._approaches(index)
         others = np.array(ways.others, np.intp)
         sizes = ways.blocks.sum(axis=0)
         for size in np.unique(sizes):
             rows = np.flatnonzero(sizes == size)
             if size == 0:
-                found = self._arm_blockers(ways, rows)
+                found, size = self._arm_blockers(ways, rows)
             else:
                 found = frozenset[int]()
                 sets, which = np.unique(ways.blocks[:, rows], axis=1, return_inverse=True)
@@ -203,17 +202,17 @@ class Reachability:
                     if self._reaches(ways, same, ()):
                         found |= frozenset(others[sets[:, k]].tolist())
             if found:
-                return found
-        return frozenset()
+                return found, int(size)
+        return frozenset(), 0
 
-    def _arm_blockers(self, ways: _Approaches, rows: NDArray[np.intp]) -> frozenset[int]:
+    def _arm_blockers(self, ways: _Approaches, rows: NDArray[np.intp]) -> tuple[frozenset[int], int]:
         sets = []
         for row in _spread(ways.grasps, rows, MAX_PER_SET):
             one = np.array([row])
             if self._reaches(ways, one, ()):
                 sets.append(frozenset(i for i in self._present if not self._reaches(ways, one, (i,))))
         least = min((len(s) for s in sets if s), default=0)
-        return frozenset().union(*(s for s in sets if len(s) == least))
+        return frozenset[int]().union(*(s for s in sets if len(s) == least)), least
 
     def obstructions(self, goal: int) -> frozenset[int]:
         """Return the true obstructions of a goal.

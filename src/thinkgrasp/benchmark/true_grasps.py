@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from thinkgrasp.checks.cloud import BlockedCloud
 from thinkgrasp.contacts import smallest_friction
-from thinkgrasp.geometry import rotation_from_quat_wxyz, voxel_downsample
+from thinkgrasp.geometry import invert, rotation_from_quat_wxyz, voxel_downsample
 from thinkgrasp.gripper import Gripper
 from thinkgrasp.sim.objects import CollisionPiece, SimObject
+from thinkgrasp.types import Grasps
 
 Float = NDArray[np.float64]
 
@@ -28,6 +30,8 @@ CLEARANCE_M = 0.004
 """Room between each open finger and the contact: the least that a generator of ours leaves."""
 ENGAGEMENT_M = 0.003
 """The contacts lie at least this far behind the fingertips."""
+OBSTACLE_SPACING_M = 0.007
+"""The same for other objects' surfaces."""
 N_SEEDS = 300
 N_LINES = 160
 N_TURNS = 18
@@ -36,6 +40,7 @@ _JITTER = 0.25
 """Sine of the angle by which two of three lines at a contact lean away from its normal."""
 _GAP_M = 0.0005
 _CHUNK = 512
+_BLOCK_M = 0.025
 _KEPT_OBJECTS = 256
 
 
@@ -215,11 +220,11 @@ def grasps_on(obj: SimObject, gripper: Gripper) -> TrueGrasps:
     widths = np.repeat(np.maximum(distance + 2 * CLEARANCE_M, gripper.min_width_m), N_TURNS)
     found = TrueGrasps(rotations, middles, widths, np.full(len(widths), np.inf))
     own = surface_points(obj)
-    reach = reach_past(found, gripper, own, np.array([0]))[0]
+    reach = reach_past(found, gripper, own)
     tight = reach < ENGAGEMENT_M
     wide = TrueGrasps(rotations[tight], middles[tight], np.full(tight.sum(), gripper.max_width_m), reach[tight])
     widths[tight] = gripper.max_width_m
-    reach[tight] = reach_past(wide, gripper, own, np.array([0]))[0]
+    reach[tight] = reach_past(wide, gripper, own)
     order = rng.permutation(np.flatnonzero(reach >= ENGAGEMENT_M))
     return TrueGrasps(rotations, middles, widths, reach)[order]
 
@@ -228,8 +233,10 @@ def _contact_pairs(obj: SimObject, longest_m: float, rng: np.random.Generator) -
     """Return pairs of contacts (L, 3), (L, 3) on an object's surface that close at its friction."""
     pieces = _pieces(obj)
     share = np.sqrt([_areas(t).sum() for t in pieces.triangles])
-    points, normals = _sampled(pieces, np.ceil(2 * N_SEEDS * share / share.sum()).astype(int).tolist(), rng)
-    chosen = rng.permutation(len(points))[:N_SEEDS]
+    points, normals = _sampled(pieces, np.ceil(6 * N_SEEDS * share / share.sum()).astype(int).tolist(), rng)
+    side = np.abs(normals).argmax(axis=1) * 2 + (normals.sum(axis=1) > 0)
+    weight = 1 / np.bincount(side)[side]  # narrow sides as often as broad ones
+    chosen = rng.choice(len(points), min(N_SEEDS, len(points)), replace=False, p=weight / weight.sum())
     origins, outward = np.repeat(points[chosen], 3, axis=0), np.repeat(normals[chosen], 3, axis=0)
     lean = rng.standard_normal(origins.shape)
     lean -= (lean * outward).sum(axis=1, keepdims=True) * outward
@@ -258,29 +265,12 @@ def _contact_pairs(obj: SimObject, longest_m: float, rng: np.random.Generator) -
     return a[good], b[good]
 
 
-def reach_past(
-    grasps: TrueGrasps,
-    gripper: Gripper,
-    points: NDArray[np.floating],
-    starts: NDArray[np.intp],
-    swept_m: float = np.inf,
-) -> Float:
-    """Return how far the fingertips may go past the middle of each grasp before they or the palm meet a body.
+def reach_past(grasps: TrueGrasps, gripper: Gripper, points: NDArray[np.float32]) -> Float:
+    """Return how far (C,) [m] the tips may go past the middle of each grasp before fingers or palm meet any point.
 
-    Args:
-        grasps: C grasps.
-        gripper: Gives fingers and palm.
-        points: (M, 3) of the bodies' surfaces, in the grasps' frame, body by body.
-        starts: (B,) first point of each body.
-        swept_m: Points farther than this behind the middle are out of the way; infinite: the way in has no end.
-
-    Returns:
-        (B, C) [m]; infinite where a body is not in the way at all.
+    The way in has no end; infinite where no point (M, 3), in the grasps' frame, is in the way at all.
     """
-    points = np.asarray(points, np.float32)
-    reach = np.full((len(starts), len(grasps)), np.inf)
-    if len(points) == 0 or len(grasps) == 0:
-        return reach
+    reach = np.full(len(grasps), np.inf)
     t, breadth = gripper.finger_thickness_m + MARGIN_M, gripper.finger_breadth_m / 2 + MARGIN_M
     px, py = (side / 2 + MARGIN_M for side in gripper.palm_size_m[:2])
     for first in range(0, len(grasps), _CHUNK):
@@ -289,9 +279,78 @@ def reach_past(
         x, y, z = (points @ R[:, :, i].T - np.einsum("ki,ki->k", R[:, :, i], m) for i in range(3))
         x, y = np.abs(x), np.abs(y)
         half = (grasps.widths[rows] / 2).astype(np.float32)
-        near = z > -swept_m
-        finger = near & (x > half - MARGIN_M) & (x < half + t) & (y < breadth)
-        palm = near & (x < px) & (y < py)
+        finger = (x > half - MARGIN_M) & (x < half + t) & (y < breadth)
+        palm = (x < px) & (y < py)
         limit = np.minimum(np.where(finger, z, np.inf), np.where(palm, z + gripper.finger_length_m, np.inf))
-        reach[:, rows] = np.minimum.reduceat(limit, starts, axis=0) - MARGIN_M
+        reach[rows] = limit.min(axis=0, initial=np.inf) - MARGIN_M
     return reach
+
+
+def reach_beside(
+    grasps: TrueGrasps, depth_m: Float, gripper: Gripper, obj: SimObject, T_obj: Float, standoff_m: float
+) -> Float:
+    """Return how far (C,) [m] the tips may go past the middle before fingers or palm meet another object on their way.
+
+    Args:
+        grasps: In the world.
+        depth_m: (C,) how far they want to go.
+        gripper: Gives fingers and palm.
+        obj: What may be in the way.
+        T_obj: Its T_world_object (4, 4).
+        standoff_m: Length of the straight way in.
+
+    Returns:
+        Infinite where the object is not in the way.
+    """
+    whole = np.full(len(grasps), np.inf)
+    swept_m = gripper.finger_length_m + gripper.palm_size_m[2] + standoff_m
+    centre, radius = bounding_sphere(obj)
+    away = T_obj[:3, :3] @ centre + T_obj[:3, 3] - grasps.middles
+    axis = grasps.rotations[:, :, 2]
+    along = np.clip((away * axis).sum(axis=1), -swept_m, depth_m)
+    near = np.linalg.norm(away - along[:, None] * axis, axis=1) < radius + _girth(gripper)
+    if not near.any():
+        return whole
+    grasps, depth_m = grasps[near], depth_m[near]
+    reach = np.full(len(grasps), np.inf)
+    local = grasps.moved(invert(T_obj))
+    poses = Grasps(
+        local.rotations.astype(np.float32),
+        local.middles.astype(np.float32),
+        local.widths.astype(np.float32),
+        np.ones(len(local), np.float32),
+    )
+    boxes = np.repeat(gripper.bodies(0.0)[None], len(grasps), axis=0)
+    boxes[:, 0, :, 0] -= grasps.widths[:, None] / 2
+    boxes[:, 1, :, 0] += grasps.widths[:, None] / 2
+    boxes[:, :, 0, 2] -= standoff_m
+    boxes[:, :, 0] -= MARGIN_M
+    boxes[:, :, 1] += MARGIN_M
+    boxes[:, :, 1, 2] += depth_m[:, None]
+    cloud = _blocks(obj)
+    for body in range(3):
+        which, at = cloud.inside(poses, boxes[:, body, 0], boxes[:, body, 1])
+        tip = at[:, 2] + (gripper.finger_length_m if body == 2 else 0.0) - MARGIN_M
+        np.minimum.at(reach, which, tip)
+    whole[near] = reach
+    return whole
+
+
+def _girth(gripper: Gripper) -> float:
+    """How far fingers and palm are from the approach axis at most [m]."""
+    fingers = gripper.max_width_m / 2 + gripper.finger_thickness_m, gripper.finger_breadth_m / 2
+    return float(max(np.hypot(*fingers), np.hypot(*gripper.palm_size_m[:2]) / 2)) + MARGIN_M
+
+
+@lru_cache(maxsize=_KEPT_OBJECTS)
+def bounding_sphere(obj: SimObject) -> tuple[Float, float]:
+    """Return centre (3,) and radius [m] of a sphere around an object's surface, object frame."""
+    points = surface_points(obj).astype(np.float64)
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    return centre, float(np.linalg.norm(points - centre, axis=1).max())
+
+
+@lru_cache(maxsize=_KEPT_OBJECTS)
+def _blocks(obj: SimObject) -> BlockedCloud:
+    points = surface_points(obj)
+    return BlockedCloud.of(points[voxel_downsample(points, OBSTACLE_SPACING_M)], _BLOCK_M)
