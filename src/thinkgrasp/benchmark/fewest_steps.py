@@ -1,4 +1,4 @@
-"""The fewest grasps until a goal is out, searched in the simulator's physics: what every step count is compared with."""
+"""The fewest grasps until a goal is out, searched in the physics: what every step count is compared with."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo's module is compiled and has no stubs.
@@ -66,10 +66,10 @@ class _State:
 def fewest_steps(scene: PiledScene, limit: int = NODE_LIMIT) -> Fewest:
     """Search for the fewest grasps that take out things in the way, and then a goal.
 
-    It is about the world, not the view: a goal that no camera sees but a grasp reaches can be taken. Each grasp is taken
-    to succeed and to disturb nothing: the thing vanishes, the rest settles in the physics. Tried are the things that
-    `Reachability.obstructions` names and that can be taken themselves; a set of things taken counts once, whatever the
-    order. Best first: states by the number taken and of things that block the freest goal still, as no removal frees
+    It is about the world, not the view: a goal that no camera sees but a grasp reaches can be taken. Each grasp is
+    assumed to succeed and to disturb nothing: the thing vanishes, the rest settles in the physics. Tried are the things
+    that `Reachability.obstructions` names and that can be taken themselves; a set of things taken counts once, whatever
+    the order. Best first: states by the number taken and of things that block the freest goal still, as no removal frees
     more than one of those. Where the search is cut off, or it had to try things that are not known to be in the way,
     what was found is an upper bound.
 
@@ -98,10 +98,11 @@ class _Search:
         root = self._look((), self._start)
         best = self._dive(root)
         complete = True
-        queue = [(self._bound(root), 0, (), root)]
+        queue: list[tuple[int, int, tuple[int, ...]]] = [(self._bound(root), 0, ())]
         queued = {frozenset[int]()}
         while queue:
-            bound, _, _, state = heapq.heappop(queue)
+            bound, _, taken_before = heapq.heappop(queue)
+            state = self._seen[frozenset(taken_before)]
             if best is not None and bound >= len(best.taken) + 1:
                 break
             complete &= state.known
@@ -117,7 +118,7 @@ class _Search:
                 if after.goal is not None and (best is None or len(after.taken) < len(best.taken)):
                     best = after
                 if after.goal is None and after.choices:
-                    heapq.heappush(queue, (self._bound(after), -len(after.taken), after.taken, after))
+                    heapq.heappush(queue, (self._bound(after), -len(after.taken), after.taken))
         if best is None or best.goal is None:
             return Fewest(None, False, (), len(self._seen))
         return Fewest(len(best.taken) + 1, complete, (*best.taken, best.goal), len(self._seen))

@@ -46,7 +46,7 @@ _KEPT_OBJECTS = 256
 
 @dataclass(frozen=True, eq=False)
 class ConvexPieces:
-    """Convex pieces as half spaces: a point is inside piece k where normals @ point + offsets <= 0 for all its faces."""
+    """Convex pieces as half spaces: a point is inside one where normals @ point + offsets <= 0 for all its faces."""
 
     normals: Float
     """(F, 3) unit, outward."""
