@@ -69,9 +69,9 @@ def fewest_steps(scene: PiledScene, limit: int = NODE_LIMIT) -> Fewest:
     It is about the world, not the view: a goal that no camera sees but a grasp reaches can be taken. Each grasp is
     assumed to succeed and to disturb nothing: the thing vanishes, the rest settles in the physics. Tried are the things
     that `Reachability.obstructions` names and that can be taken themselves; a set of things taken counts once, whatever
-    the order. Best first: states by the number taken and of things that block the freest goal still, as no removal frees
-    more than one of those. Where the search is cut off, or it had to try things that are not known to be in the way,
-    what was found is an upper bound.
+    the order. Best first: states by the number taken and of things that block the freest goal still, as no removal
+    frees more than one of those. Where the search is cut off, or it had to try things that are not known to be in the
+    way, what was found is an upper bound.
 
     Args:
         scene: The pile and its goals.
