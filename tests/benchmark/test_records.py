@@ -106,7 +106,7 @@ def test_what_is_no_record_is_named(tmp_path, content, message):
 
 
 def test_a_folder_without_records_is_named(tmp_path):
-    with pytest.raises(InputError, match="give the folder of a benchmark"):
+    with pytest.raises(InputError, match="cannot be read"):
         read_records(tmp_path)
 
 

@@ -1,14 +1,14 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import random
 import signal
-import subprocess
-import sys
 import time
 from collections import deque
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -22,16 +22,6 @@ from thinkgrasp.benchmark.plan import read_plan
 from thinkgrasp.benchmark.records import CRASHED, EpisodeKey, EpisodeRecord, StepRecord, read_records
 from thinkgrasp.benchmark.runner import Died, Group, local_workers, missing_groups, run_benchmark
 from thinkgrasp.errors import ConfigError
-
-TESTS = Path(__file__).resolve().parents[1]
-SCRIPT = """
-import sys
-from functools import partial
-from pathlib import Path
-from fakes.benchmark import fake_source, small_plan
-from thinkgrasp.benchmark.runner import run_benchmark
-run_benchmark(small_plan(runs=20), Path(sys.argv[1]), partial(fake_source, delay_s=float(sys.argv[2])), print)
-"""
 
 
 def quiet(text: str) -> None:
@@ -129,18 +119,20 @@ def test_an_episode_whose_process_dies_twice_counts_as_crashed_and_ends_nothing_
 def test_killed_at_any_moment_and_run_again_it_ends_with_the_same_records(tmp_path):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     whole.mkdir(), cut.mkdir()
-    environment = {**os.environ, "PYTHONPATH": str(TESTS)}
-    command = [sys.executable, "-c", SCRIPT]
-    rng = random.Random(0)
-    for _ in range(10):
-        process = subprocess.Popen([*command, str(cut), "0.004"], stdout=subprocess.PIPE, env=environment)
-        process.stdout.readline()  # the first episode of this start is finished
-        time.sleep(rng.uniform(0, 0.12))
-        process.send_signal(signal.SIGKILL)
-        process.communicate()
-        assert process.returncode == -signal.SIGKILL
-    subprocess.run([*command, str(cut), "0"], env=environment, check=True, stdout=subprocess.DEVNULL)
-    subprocess.run([*command, str(whole), "0"], env=environment, check=True, stdout=subprocess.DEVNULL)
+    plan, slow = small_plan(runs=60), partial(fake_source, delay_s=0.002)
+    fork, rng = multiprocessing.get_context("fork"), random.Random(0)
+    for start in range(10):
+        process = fork.Process(target=run_benchmark, args=(plan, cut, slow, quiet))
+        process.start()
+        while not (cut / "benchmark.json").exists() or len(read_plan(cut).sessions) <= start:
+            time.sleep(0.002)
+        time.sleep(rng.uniform(0, 0.15))
+        process.kill()
+        process.join()
+        assert process.exitcode == -signal.SIGKILL
+    assert 0 < len(read_records(cut).episodes) < 240
+    run_benchmark(plan, cut, fake_source, quiet)
+    run_benchmark(plan, whole, fake_source, quiet)
     expected, found = read_records(whole), read_records(cut)
     assert (found.scenes, found.steps, found.episodes) == (expected.scenes, expected.steps, expected.episodes)
     lines = [(folder / "records.jsonl").read_bytes().splitlines() for folder in (whole, cut)]
@@ -160,16 +152,9 @@ def test_real_processes_run_real_episodes_and_outlive_a_killed_one(tmp_path):
 
     plan = replace(small_plan(("oracle",), runs=1), camera=CameraOptions(size_wh=(224, 224)))
     killed: list[int] = []
-
-    def kill_one(text: str) -> None:
-        said.append(text)
-
-    said: list[str] = []
     source = local_workers(2)
 
     def killing(plan, groups):
-        import multiprocessing
-
         for record in source(plan, groups):
             if isinstance(record, StepRecord) and not killed:
                 child = multiprocessing.active_children()[0]
@@ -177,7 +162,7 @@ def test_real_processes_run_real_episodes_and_outlive_a_killed_one(tmp_path):
                 os.kill(child.pid, signal.SIGKILL)
             yield record
 
-    records = run_benchmark(plan, tmp_path, killing, kill_one)
+    records = run_benchmark(plan, tmp_path, killing, quiet)
     assert killed
     assert {e.end for e in records.episodes.values()} == {"goal_delivered"}
     for key, found in records.episodes.items():
