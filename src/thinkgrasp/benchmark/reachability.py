@@ -3,12 +3,17 @@
 For metrics only. No stage of the pipeline imports this module.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's module is compiled and has no stubs.
+
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -80,8 +85,10 @@ class _Approaches:
 class Reachability:
     """The truth about what can be taken, for the state that a world was in at the last `refresh`.
 
+    What happens in the world afterwards changes no answer until the next one: a step may be judged when it is over.
+
     Args:
-        world: Read, never changed but for geom groups while an outline is looked for.
+        world: Read, never changed.
         goals: Indices of the objects that serve the instruction.
         views: Through which a planner looks; without any, everything on the table counts as seen.
         gripper: Default: the 2F-85.
@@ -103,7 +110,10 @@ class Reachability:
         n = len(world.objects)
         if not goals or not all(0 <= g < n for g in goals):
             raise InputError(f"goals must be one or more of the objects 0..{n - 1}, got {sorted(goals)}")
-        self.world = world
+        self._live = world
+        self.world = copy.copy(world)
+        """As it was at the last `refresh`."""
+        self.world.model, self.world.data = copy.copy(world.model), copy.copy(world.data)
         self.goals = tuple(sorted(set(goals)))
         self._views = tuple(_small(view) for view in views)
         self._gripper = gripper or GRIPPERS["robotiq_2f85"]
@@ -111,7 +121,9 @@ class Reachability:
         self.refresh()
 
     def refresh(self) -> None:
-        """Take the world as it is now; to be called before each step, as answers are kept until then."""
+        """Take the world as it is now; to be called before each step."""
+        self.world.data.qpos[:] = self._live.data.qpos
+        mujoco.mj_kinematics(self.world.model, self.world.data)
         self._poses = self.world.poses()
         self._present = tuple(i for i in range(len(self._poses)) if self.world.on_table(i))
         self._clouds: dict[int, Float] = {}
