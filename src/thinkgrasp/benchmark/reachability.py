@@ -226,23 +226,23 @@ class Reachability:
         least = min((len(s) for s in sets if s), default=0)
         return frozenset[int]().union(*(s for s in sets if len(s) == least)), least
 
-    def obstructions(self, goal: int) -> frozenset[int]:
+    def obstructions(self, goal: int, view: int | None = None) -> frozenset[int]:
         """Return the true obstructions of a goal.
 
         * The `blockers` of the goal where it cannot be taken.
-        * Where no goal is in any of the views: what hides this one, that is, what covers at least HIDING_SHARE of its
-          outline in a view.
+        * Where no goal is in view: what hides this one, that is, what covers at least HIDING_SHARE of its outline.
         * The blockers of each of these that cannot be taken itself, and so on: to remove what lies on a blocker is a
           true step too.
-        """
-        return self._once("obstructions", goal, self._find_obstructions)
 
-    def _find_obstructions(self, goal: int) -> frozenset[int]:
+        Args:
+            goal: Any object.
+            view: Of the views the one that was looked through; None = all of them.
+        """
         if goal not in self._present:
             return frozenset()
         first = self.blockers(goal)
-        if self._views and not set(self.goals) & set(self.in_view()):
-            first |= self._hiders(goal)
+        if not set(self.goals) & set(self.in_view(view)):
+            first |= self._hiders(goal, view)
         found, todo = set[int](), sorted(first)
         while todo:
             index = todo.pop()
@@ -251,9 +251,9 @@ class Reachability:
                 todo += sorted(self.blockers(index))
         return frozenset(found)
 
-    def _hiders(self, goal: int) -> frozenset[int]:
+    def _hiders(self, goal: int, view: int | None) -> frozenset[int]:
         hiders = set[int]()
-        for picture in self._pictures():
+        for picture in self._pictures(view):
             outline = picture.outline(goal)
             over = picture.labels[outline]
             counts = np.bincount(over[over >= 0], minlength=len(self.world.objects))
@@ -262,43 +262,50 @@ class Reachability:
 
     # -- what was chosen ---------------------------------------------------------------------------------------------
 
-    def in_view(self) -> tuple[int, ...]:
-        """Return the objects that fill at least IN_VIEW_SHARE of any of the views."""
-        return self._once("in view", 0, self._find_in_view)
+    def in_view(self, view: int | None = None) -> tuple[int, ...]:
+        """Return the objects that fill at least IN_VIEW_SHARE of a view, or of any; on the table, where there is none.
 
-    def _find_in_view(self, _: int) -> tuple[int, ...]:
+        Args:
+            view: Of the views the one that was looked through; None = all of them.
+        """
         if not self._views:
             return self._present
         seen = np.zeros(len(self.world.objects), bool)
-        for picture in self._pictures():
+        for picture in self._pictures(view):
             pixels = np.bincount(picture.labels[picture.labels >= 0], minlength=len(seen))
             seen |= pixels >= IN_VIEW_SHARE * picture.labels.size
         return tuple(i for i in self._present if seen[i])
 
-    def _pictures(self) -> tuple[PictureTruth, ...]:
-        return self._once("pictures", 0, self._look)
+    def _pictures(self, view: int | None) -> tuple[PictureTruth, ...]:
+        chosen = range(len(self._views)) if view is None else (view,)
+        return tuple(self._once("picture", k, self._look) for k in chosen)
 
-    def _look(self, _: int) -> tuple[PictureTruth, ...]:
-        return tuple(PictureTruth(self.world, view, self.goals) for view in self._views)
+    def _look(self, view: int) -> PictureTruth:
+        return PictureTruth(self.world, self._views[view], self.goals)
 
-    def right_choices(self) -> frozenset[int]:
+    def right_choices(self, view: int | None = None) -> frozenset[int]:
         """Return what it would be right to take now.
 
         The goals that can be taken, where one of them is in view. Else those and the obstructions of all goals.
+
+        Args:
+            view: Of the views the one that was looked through; None = all of them.
         """
         takeable = frozenset(g for g in self.goals if self.takeable(g))
-        if takeable & set(self.in_view()):
+        if takeable & set(self.in_view(view)):
             return takeable
-        return takeable.union(*(self.obstructions(g) for g in self.goals))
+        return takeable.union(*(self.obstructions(g, view) for g in self.goals))
 
-    def chance(self) -> float:
-        """Return the probability that an object drawn at random from those in view is a right choice."""
-        seen = self.in_view()
-        return len(self.right_choices() & set(seen)) / len(seen) if seen else 0.0
+    def judge(self, chosen: int | None, view: int | None = None) -> Judgement:
+        """Judge the choice of an object for a step; None, nothing, is never right.
 
-    def judge(self, chosen: int | None) -> Judgement:
-        """Judge the choice of an object; None, nothing, is never right."""
-        return Judgement(chosen in self.right_choices(), self.chance(), any(self.takeable(g) for g in self.goals))
+        Args:
+            chosen: Index of the object.
+            view: Of the views the one that was looked through; None = all of them.
+        """
+        right, seen = self.right_choices(view), self.in_view(view)
+        chance = len(right & set(seen)) / len(seen) if seen else 0.0
+        return Judgement(chosen in right, chance, any(self.takeable(g) for g in self.goals))
 
     def _once(self, what: str, index: int, find: Callable[[int], _Answer]) -> _Answer:
         key = what, index
