@@ -112,7 +112,7 @@ def test_a_step_towards_a_blocker_is_a_true_step(motion):
     assert truth.blockers(1) == {2}
     assert truth.obstructions(0) == {1, 2}
     assert truth.judge(2).right
-    assert fewest_steps(piled(world, 0)) == Fewest(3, True, (2, 1, 0), 3)
+    assert fewest_steps(piled(world, 0)) == fewest_steps(piled(world, 0)) == Fewest(3, True, (2, 1, 0), 3)
 
 
 def test_walls_on_all_sides(motion):
@@ -183,6 +183,12 @@ def test_the_right_choice_is_any_goal_that_can_be_taken(motion):
 def test_goals_are_checked(goals):
     with pytest.raises(InputError, match=r"objects 0\.\.0"):
         Reachability(placed((CUBE, (*MIDDLE, 0))), goals)
+
+
+@pytest.mark.parametrize("view", [0, -1])
+def test_views_are_checked(motion, view):
+    with pytest.raises(InputError, match=f"no view {view}"):
+        Reachability(placed((CUBE, (*MIDDLE, 0))), [0], motion=motion).judge(0, view)
 
 
 def test_fewest_steps_of_what_nobody_can_take(motion):

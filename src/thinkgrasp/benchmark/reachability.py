@@ -268,7 +268,7 @@ class Reachability:
         Args:
             view: Of the views the one that was looked through; None = all of them.
         """
-        if not self._views:
+        if not self._views and view is None:
             return self._present
         seen = np.zeros(len(self.world.objects), bool)
         for picture in self._pictures(view):
@@ -277,6 +277,8 @@ class Reachability:
         return tuple(i for i in self._present if seen[i])
 
     def _pictures(self, view: int | None) -> tuple[PictureTruth, ...]:
+        if view is not None and not 0 <= view < len(self._views):
+            raise InputError(f"no view {view}: this truth was given {len(self._views)}")
         chosen = range(len(self._views)) if view is None else (view,)
         return tuple(self._once("picture", k, self._look) for k in chosen)
 
@@ -302,6 +304,9 @@ class Reachability:
         Args:
             chosen: Index of the object.
             view: Of the views the one that was looked through; None = all of them.
+
+        Raises:
+            InputError: No such view.
         """
         right, seen = self.right_choices(view), self.in_view(view)
         chance = len(right & set(seen)) / len(seen) if seen else 0.0
