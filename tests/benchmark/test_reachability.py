@@ -20,7 +20,7 @@ from thinkgrasp.motion.cell import BIN
 from thinkgrasp.sim import catalogue
 from thinkgrasp.sim.objects import CollisionPiece, SimObject, VisualPiece
 from thinkgrasp.sim.scenes import PiledScene, SceneSpec
-from thinkgrasp.sim.views import default_view
+from thinkgrasp.sim.views import default_view, side_view
 from thinkgrasp.sim.world import World
 from thinkgrasp.types import Grasps
 
@@ -112,7 +112,7 @@ def test_a_step_towards_a_blocker_is_a_true_step(motion):
     assert truth.blockers(1) == {2}
     assert truth.obstructions(0) == {1, 2}
     assert truth.judge(2).right
-    assert fewest_steps(piled(world, 0)) == Fewest(3, True, (2, 1, 0), 3)
+    assert fewest_steps(piled(world, 0)) == fewest_steps(piled(world, 0)) == Fewest(3, True, (2, 1, 0), 3)
 
 
 def test_walls_on_all_sides(motion):
@@ -155,24 +155,40 @@ def test_what_hides_a_goal_counts_only_while_no_goal_is_in_view(motion):
     screen = block("screen", 0.02, 0.20, 0.24)
     world = placed((CUBE, (0.45, 0, 0)), (screen, (0.56, 0, 0)), (POST, (0.45, 0.17, 0)))
     hidden = Reachability(world, [0], [default_view(size_wh=(224, 224))], motion=motion)
+    at = world.pose(1)
+    world.park(1)  # what happens later does not count
     assert 0 not in hidden.in_view()
     assert 1 in hidden.right_choices()
     assert 1 in hidden.obstructions(0)
-    seen = Reachability(world, [0], motion=motion)
-    assert 1 not in seen.right_choices() or not seen.takeable(0)
+    assert 0 in hidden.right_choices()
+    both = Reachability(world, [0], [default_view(size_wh=(224, 224)), side_view(size_wh=(224, 224))], motion=motion)
+    world.place(1, at)
+    both.refresh()
+    assert both.right_choices() == both.right_choices(1) == {0}
+    assert 1 in both.right_choices(0)
+    world.park(1)
+    hidden.refresh()
+    assert hidden.in_view() == (0, 2)
+    assert hidden.right_choices() == {0}
 
 
 def test_the_right_choice_is_any_goal_that_can_be_taken(motion):
     world = placed((CUBE, (*MIDDLE, 0)), (LID, (*MIDDLE, 0.05)), (CUBE, (0.5, 0.15, 0)), (POST, (0.5, -0.15, 0)))
     truth = Reachability(world, [0, 2], motion=motion)
     assert truth.right_choices() == {2}
-    assert truth.chance() == 1 / 4
+    assert truth.judge(2).chance == 1 / 4
 
 
 @pytest.mark.parametrize("goals", [[], [1], [-1]])
 def test_goals_are_checked(goals):
     with pytest.raises(InputError, match=r"objects 0\.\.0"):
         Reachability(placed((CUBE, (*MIDDLE, 0))), goals)
+
+
+@pytest.mark.parametrize("view", [0, -1])
+def test_views_are_checked(motion, view):
+    with pytest.raises(InputError, match=f"no view {view}"):
+        Reachability(placed((CUBE, (*MIDDLE, 0))), [0], motion=motion).judge(0, view)
 
 
 def test_fewest_steps_of_what_nobody_can_take(motion):

@@ -3,12 +3,17 @@
 For metrics only. No stage of the pipeline imports this module.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo's module is compiled and has no stubs.
+
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -80,8 +85,10 @@ class _Approaches:
 class Reachability:
     """The truth about what can be taken, for the state that a world was in at the last `refresh`.
 
+    What happens in the world afterwards changes no answer until the next one: a step may be judged when it is over.
+
     Args:
-        world: Read, never changed but for geom groups while an outline is looked for.
+        world: Read, never changed.
         goals: Indices of the objects that serve the instruction.
         views: Through which a planner looks; without any, everything on the table counts as seen.
         gripper: Default: the 2F-85.
@@ -103,7 +110,10 @@ class Reachability:
         n = len(world.objects)
         if not goals or not all(0 <= g < n for g in goals):
             raise InputError(f"goals must be one or more of the objects 0..{n - 1}, got {sorted(goals)}")
-        self.world = world
+        self._live = world
+        self.world = copy.copy(world)
+        """As it was at the last `refresh`."""
+        self.world.model, self.world.data = copy.copy(world.model), copy.copy(world.data)
         self.goals = tuple(sorted(set(goals)))
         self._views = tuple(_small(view) for view in views)
         self._gripper = gripper or GRIPPERS["robotiq_2f85"]
@@ -111,7 +121,9 @@ class Reachability:
         self.refresh()
 
     def refresh(self) -> None:
-        """Take the world as it is now; to be called before each step, as answers are kept until then."""
+        """Take the world as it is now; to be called before each step."""
+        self.world.data.qpos[:] = self._live.data.qpos
+        mujoco.mj_kinematics(self.world.model, self.world.data)
         self._poses = self.world.poses()
         self._present = tuple(i for i in range(len(self._poses)) if self.world.on_table(i))
         self._clouds: dict[int, Float] = {}
@@ -214,23 +226,23 @@ class Reachability:
         least = min((len(s) for s in sets if s), default=0)
         return frozenset[int]().union(*(s for s in sets if len(s) == least)), least
 
-    def obstructions(self, goal: int) -> frozenset[int]:
+    def obstructions(self, goal: int, view: int | None = None) -> frozenset[int]:
         """Return the true obstructions of a goal.
 
         * The `blockers` of the goal where it cannot be taken.
-        * Where no goal is in any of the views: what hides this one, that is, what covers at least HIDING_SHARE of its
-          outline in a view.
+        * Where no goal is in view: what hides this one, that is, what covers at least HIDING_SHARE of its outline.
         * The blockers of each of these that cannot be taken itself, and so on: to remove what lies on a blocker is a
           true step too.
-        """
-        return self._once("obstructions", goal, self._find_obstructions)
 
-    def _find_obstructions(self, goal: int) -> frozenset[int]:
+        Args:
+            goal: Any object.
+            view: Of the views the one that was looked through; None = all of them.
+        """
         if goal not in self._present:
             return frozenset()
         first = self.blockers(goal)
-        if self._views and not set(self.goals) & set(self.in_view()):
-            first |= self._hiders(goal)
+        if not set(self.goals) & set(self.in_view(view)):
+            first |= self._hiders(goal, view)
         found, todo = set[int](), sorted(first)
         while todo:
             index = todo.pop()
@@ -239,9 +251,9 @@ class Reachability:
                 todo += sorted(self.blockers(index))
         return frozenset(found)
 
-    def _hiders(self, goal: int) -> frozenset[int]:
+    def _hiders(self, goal: int, view: int | None) -> frozenset[int]:
         hiders = set[int]()
-        for picture in self._pictures():
+        for picture in self._pictures(view):
             outline = picture.outline(goal)
             over = picture.labels[outline]
             counts = np.bincount(over[over >= 0], minlength=len(self.world.objects))
@@ -250,43 +262,55 @@ class Reachability:
 
     # -- what was chosen ---------------------------------------------------------------------------------------------
 
-    def in_view(self) -> tuple[int, ...]:
-        """Return the objects that fill at least IN_VIEW_SHARE of any of the views."""
-        return self._once("in view", 0, self._find_in_view)
+    def in_view(self, view: int | None = None) -> tuple[int, ...]:
+        """Return the objects that fill at least IN_VIEW_SHARE of a view, or of any; on the table, where there is none.
 
-    def _find_in_view(self, _: int) -> tuple[int, ...]:
-        if not self._views:
+        Args:
+            view: Of the views the one that was looked through; None = all of them.
+        """
+        if not self._views and view is None:
             return self._present
         seen = np.zeros(len(self.world.objects), bool)
-        for picture in self._pictures():
+        for picture in self._pictures(view):
             pixels = np.bincount(picture.labels[picture.labels >= 0], minlength=len(seen))
             seen |= pixels >= IN_VIEW_SHARE * picture.labels.size
         return tuple(i for i in self._present if seen[i])
 
-    def _pictures(self) -> tuple[PictureTruth, ...]:
-        return self._once("pictures", 0, self._look)
+    def _pictures(self, view: int | None) -> tuple[PictureTruth, ...]:
+        if view is not None and not 0 <= view < len(self._views):
+            raise InputError(f"no view {view}: this truth was given {len(self._views)}")
+        chosen = range(len(self._views)) if view is None else (view,)
+        return tuple(self._once("picture", k, self._look) for k in chosen)
 
-    def _look(self, _: int) -> tuple[PictureTruth, ...]:
-        return tuple(PictureTruth(self.world, view, self.goals) for view in self._views)
+    def _look(self, view: int) -> PictureTruth:
+        return PictureTruth(self.world, self._views[view], self.goals)
 
-    def right_choices(self) -> frozenset[int]:
+    def right_choices(self, view: int | None = None) -> frozenset[int]:
         """Return what it would be right to take now.
 
         The goals that can be taken, where one of them is in view. Else those and the obstructions of all goals.
+
+        Args:
+            view: Of the views the one that was looked through; None = all of them.
         """
         takeable = frozenset(g for g in self.goals if self.takeable(g))
-        if takeable & set(self.in_view()):
+        if takeable & set(self.in_view(view)):
             return takeable
-        return takeable.union(*(self.obstructions(g) for g in self.goals))
+        return takeable.union(*(self.obstructions(g, view) for g in self.goals))
 
-    def chance(self) -> float:
-        """Return the probability that an object drawn at random from those in view is a right choice."""
-        seen = self.in_view()
-        return len(self.right_choices() & set(seen)) / len(seen) if seen else 0.0
+    def judge(self, chosen: int | None, view: int | None = None) -> Judgement:
+        """Judge the choice of an object for a step; None, nothing, is never right.
 
-    def judge(self, chosen: int | None) -> Judgement:
-        """Judge the choice of an object; None, nothing, is never right."""
-        return Judgement(chosen in self.right_choices(), self.chance(), any(self.takeable(g) for g in self.goals))
+        Args:
+            chosen: Index of the object.
+            view: Of the views the one that was looked through; None = all of them.
+
+        Raises:
+            InputError: No such view.
+        """
+        right, seen = self.right_choices(view), self.in_view(view)
+        chance = len(right & set(seen)) / len(seen) if seen else 0.0
+        return Judgement(chosen in right, chance, any(self.takeable(g) for g in self.goals))
 
     def _once(self, what: str, index: int, find: Callable[[int], _Answer]) -> _Answer:
         key = what, index
