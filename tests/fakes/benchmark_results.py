@@ -43,7 +43,9 @@ OTHER = {
 }  # fmt: skip
 
 
-def episode(steps: int, success: bool = True, method: str = "offline", task: str = TASKS[0], seed: int = 1000, **changes):
+def episode(
+    steps: int, success: bool = True, method: str = "offline", task: str = TASKS[0], seed: int = 1000, **changes
+):
     """Yield the records of an episode: misses, then the goal where it succeeds."""
     for number in range(1, steps + 1):
         last = success and number == steps
@@ -56,10 +58,18 @@ def plan(
     methods: Sequence[str] = ("offline",), runs: int = 2, tasks: Sequence[str] = TASKS, suite: str = "clutter-v1",
     source: str = "0123456789ab", first_seed: int = 1000,
 ) -> BenchmarkPlan:  # fmt: skip
-    versions = Versions(thinkgrasp="0.1", source=source, python="3.11.2", machine="Linux x86_64", packages={"numpy": "2.0"})
+    versions = Versions(
+        thinkgrasp="0.1", source=source, python="3.11.2", machine="Linux x86_64", packages={"numpy": "2.0"}
+    )
     session = Session(started=datetime(2026, 1, 2, 3, 4, tzinfo=UTC), versions=versions)
     return BenchmarkPlan(
-        SuiteSource(suite), tuple(tasks), first_seed, runs, CameraOptions(), tuple(map(parse_method, methods)), (session,)
+        SuiteSource(suite),
+        tuple(tasks),
+        first_seed,
+        runs,
+        CameraOptions(),
+        tuple(map(parse_method, methods)),
+        (session,),
     )
 
 

@@ -11,7 +11,7 @@ from thinkgrasp.benchmark.plan import BenchmarkPlan, different_sources
 from thinkgrasp.benchmark.records import EpisodeRecord, SceneKey
 from thinkgrasp.benchmark.results import Results, load_results, same_results
 from thinkgrasp.benchmark.statistics import wilson
-from thinkgrasp.benchmark.tables import bounds, number, p_value
+from thinkgrasp.benchmark.tables import bounds, mean_text, p_value
 from thinkgrasp.errors import InputError
 
 SHOWN = 40
@@ -78,7 +78,7 @@ def _methods(a: Results, b: Results, shared: Sequence[str]) -> list[str]:
     for method in shared:
         mine, theirs = _keyed(a, method), _keyed(b, method)
         p = pair(method, method, theirs, mine, a.step_limit)
-        steps = f"{number(p.steps_difference.value, 2, signed=True)} ({bounds(p.steps_difference.interval, 2, signed=True)})"
+        steps = mean_text(p.steps_difference, signed=True)
         difference = f"{p.success_difference:+.3f} ({bounds(p.success_interval, 3, signed=True)})"
         rows.append(
             (method, _rate(mine), _rate(theirs), str(p.pairs), f"{p.only_reference} / {p.only_method}", difference,

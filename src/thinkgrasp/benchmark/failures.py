@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from thinkgrasp.benchmark.records import EpisodeKey, EpisodeRecord, SceneRecord, StepRecord
+from thinkgrasp.benchmark.records import CRASHED, NO_SCENE, EpisodeKey, EpisodeRecord, SceneRecord, StepRecord
+from thinkgrasp.outputs import one_line
 
 Stage = Literal["no episode", "lost goal", "budget", "grasping", "reachability", "recognition", "clearing"]
 STAGES: dict[Stage, str] = {
@@ -40,8 +41,8 @@ def failure(episode: EpisodeRecord, steps: Sequence[StepRecord], scene: SceneRec
 
 
 def _stage(episode: EpisodeRecord, steps: Sequence[StepRecord], scene: SceneRecord | None) -> tuple[Stage, str]:
-    if episode.error:
-        return "no episode", episode.error.splitlines()[0]
+    if episode.end in (CRASHED, NO_SCENE):
+        return "no episode", one_line(episode.error.partition("\n")[0]) or episode.end
     executed = [step for step in steps if step.is_executed]
     goals = set(scene.goals) if scene else set[str]()
     if goals and episode.goals_lost == len(goals):

@@ -59,7 +59,7 @@ def rates(bars: Sequence[Bar], title: str) -> str:
 
 
 def histograms(counts: Mapping[str, Sequence[tuple[int, int]]], title: str, x_label: str) -> str:
-    """Return one histogram per name: of 0, 1, ... steps the successes, and the failures on top of them.
+    """Return one histogram per name: of 0, 1, ... steps the successes, and the failures hollow on top.
 
     Args:
         counts: Successes and failures by number of steps; all of the same length.
@@ -77,11 +77,11 @@ def histograms(counts: Mapping[str, Sequence[tuple[int, int]]], title: str, x_la
         for steps, (good, bad) in enumerate(own):
             x, unit = LEFT + wide * steps, (row - 14) / most
             told = f"{name}, {steps} grasps: {good} solved, {bad} failed"
-            parts += [
-                _rect(x, base - unit * size - unit * under, wide - 1, unit * size, color, told)
-                for size, under, color in ((good, 0, "var(--good)"), (bad, good, "var(--bad)"))
-                if size
-            ]
+            if good:
+                parts.append(_rect(x, base - unit * good, wide - 1, unit * good, "var(--good)", told))
+            if bad:
+                y, size = base - unit * (good + bad), unit * bad
+                parts.append(_rect(x + 1, y + 1, wide - 3, size - 1, "var(--bad)", told, is_hollow=True))
     every = _spacing(n - 1)
     parts += [_text(LEFT + wide * (k + 0.5), bottom + 16, str(k), "middle") for k in range(0, n, every)]
     parts += [_text((LEFT + WIDTH - RIGHT) / 2, bottom + 36, x_label, "middle")]
@@ -129,7 +129,7 @@ def stacks(counts: Mapping[str, Mapping[str, int]], totals: Mapping[str, int], t
     for i, (name, own) in enumerate(counts.items()):
         y, x = TOP + ROW * (i + 0.5), float(LEFT)
         parts.append(_row_name(y + 4, name))
-        for kind, n in own.items():
+        for kind, n in ((kind, n) for kind, n in own.items() if n):
             size = (WIDTH - LEFT - RIGHT) * n / totals[name]
             parts.append(_rect(x, y - 9, size, 18, _color(kinds.index(kind)), f"{name}: {kind} {n} of {totals[name]}"))
             if size > 8 * len(str(n)) + 4:
@@ -165,7 +165,8 @@ def _with_legend(height: float, title: str, parts: Sequence[str], names: Sequenc
             x, y = 20.0, y + 22
         dash = _dash(i)
         legend += [
-            f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{x + 24:.1f}" y2="{y:.1f}" stroke="{_color(i)}" stroke-width="4"{dash}/>',
+            f'<line x1="{x:.1f}" y1="{y:.1f}" x2="{x + 24:.1f}" y2="{y:.1f}" '
+            f'stroke="{_color(i)}" stroke-width="4"{dash}/>',
             _text(x + 30, y + 4, name, "start"),
         ]
         x += wide
@@ -173,7 +174,8 @@ def _with_legend(height: float, title: str, parts: Sequence[str], names: Sequenc
 
 
 def _svg(height: float, title: str, parts: Sequence[str]) -> str:
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height:.0f}" role="img" aria-label={quoteattr(title)}>'
+    size = f'viewBox="0 0 {WIDTH} {height:.0f}"'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {size} role="img" aria-label={quoteattr(title)}>'
     return "\n".join([head, *parts, "</svg>"])
 
 
@@ -215,9 +217,10 @@ def _line(x0: float, y0: float, x1: float, y1: float, color: str, width: float =
     return f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{color}" stroke-width="{width:g}"/>'
 
 
-def _rect(x: float, y: float, wide: float, high: float, color: str, told: str) -> str:
+def _rect(x: float, y: float, wide: float, high: float, color: str, told: str, *, is_hollow: bool = False) -> str:
     where = f'x="{x:.1f}" y="{y:.1f}" width="{max(wide, 0.5):.1f}" height="{high:.1f}"'
-    return f'<rect {where} fill="{color}">{_title(told)}</rect>'
+    paint = f'fill="none" stroke="{color}" stroke-width="1.5"' if is_hollow else f'fill="{color}"'
+    return f"<rect {where} {paint}>{_title(told)}</rect>"
 
 
 def _title(words: str) -> str:

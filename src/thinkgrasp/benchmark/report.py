@@ -50,7 +50,11 @@ def write_report(folders: Sequence[Path], reference: str | None = None) -> str:
         own = _sections(results, summaries, pairs, reference)
         sections += own
         shown += ["\n".join(table_lines(tables.main_table(results, summaries, {p.method: p for p in pairs}))), ""]
-        shown += [f"{results.suite}: {_progress(results)}", *_warnings(results, summaries), ""]
+        shown += [
+            f"{results.suite}: {_progress(results)}",
+            *(f"warning: {w}" for w in _warnings(results, summaries)),
+            "",
+        ]
         rows += _latex(results, summaries)
     first = folders[0]
     write_atomic(first / MARKDOWN, markdown(TITLE, sections).encode())
@@ -131,14 +135,14 @@ def _warnings(results: Results, summaries: Sequence[Summary]) -> list[str]:
     sources = different_sources(results.plan.sessions)
     if len(sources) > 1:
         found.append(
-            f"Warning: the results come from {len(sources)} states of the code ({', '.join(sources)}); they may not be "
+            f"The results come from {len(sources)} states of the code ({', '.join(sources)}); they may not be "
             "of one system. Run it into a new folder for figures to keep."
         )
     for end, words in ((CRASHED, "crashed"), (NO_SCENE, "had no pile")):
         counts = {s.method: s.ends.get(end, 0) for s in summaries if s.ends.get(end)}
         if counts:
             told = ", ".join(f"{method} {n}" for method, n in counts.items())
-            found.append(f"Warning: episodes that {words} count as failures: {told}.")
+            found.append(f"Episodes that {words} count as failures: {told}.")
     return found
 
 
@@ -152,7 +156,9 @@ def _histograms(results: Results, summaries: Sequence[Summary]) -> str:
         episodes = [e for e in results.episodes(s.method).values() if e.end != NO_SCENE]
         good, bad = (Counter(e.steps for e in episodes if e.success is is_good) for is_good in (True, False))
         counts[s.method] = [(good[n], bad[n]) for n in range(results.step_limit + 1)]
-    return plots.histograms(counts, f"Grasps per episode, {results.suite}", "executed grasps (red: the episode failed)")
+    return plots.histograms(
+        counts, f"Grasps per episode, {results.suite}", "executed grasps (hollow: the episode failed)"
+    )
 
 
 def _accuracy_curves(summaries: Sequence[Summary]) -> list[plots.Curve]:
@@ -175,7 +181,8 @@ def _failures(results: Results, summaries: Sequence[Summary]) -> tuple[Block, ..
     if not failing:
         return (Text("No episode failed."),)
     counts = {s.method: Counter(f.stage for f in s.failures) for s in failing}
-    ordered = {method: {stage: own[stage] for stage in STAGES if own[stage]} for method, own in counts.items()}
+    present = [stage for stage in STAGES if any(own[stage] for own in counts.values())]
+    ordered = {method: {stage: own[stage] for stage in present} for method, own in counts.items()}
     title = f"Failed episodes by what cost them, {results.suite}"
     figure = Figure(title, plots.stacks(ordered, {s.method: s.finished for s in failing}, title))
     items = [
@@ -192,13 +199,15 @@ def _failures(results: Results, summaries: Sequence[Summary]) -> tuple[Block, ..
 
 
 def _reproduce(results: Results) -> tuple[Block, ...]:
-    plan, first = results.plan, results.folders[0]
-    command = ["thinkgrasp", "bench", "run", "--again", str(first), "--out", "again"]
+    plan = results.plan
+    commands = [
+        shlex.join(["thinkgrasp", "bench", "run", "--again", str(f), "--out", f"{f}-again"]) for f in results.folders
+    ]
     seeds = sorted({key.seed for key in results.planned})
     return (
-        Text(shlex.join(command), "code"),
+        Text("\n".join(commands), "code"),
         Text(
-            f"runs the same methods over the same piles; {first.name}/benchmark.json holds their whole configuration. "
+            "runs the same methods over the same piles: benchmark.json holds their whole configuration. "
             f"Seeds {seeds[0]} to {seeds[-1]}, {len(plan.tasks)} tasks, at most {results.step_limit} attempts; camera "
             f"{plan.camera.model} {plan.camera.size_wh[0]}x{plan.camera.size_wh[1]}, "
             f"{'with' if plan.camera.noise else 'without'} noise. Folders: {', '.join(map(str, results.folders))}."

@@ -63,7 +63,7 @@ def load_results(folders: Sequence[Path]) -> tuple[Results, ...]:
         InputError: A folder is none of a benchmark, or folders of one suite do not fit together; the message says why.
     """
     by_suite: dict[str, Results] = {}
-    for folder in folders:
+    for folder in _distinct(folders):
         if not folder.is_dir():
             raise InputError(f"{folder} is no folder; give the folder of a benchmark")
         plan, records = read_plan(folder), read_records(folder)
@@ -78,6 +78,13 @@ def load_results(folders: Sequence[Path]) -> tuple[Results, ...]:
                 "run `thinkgrasp bench run --out` of the same folder until the first is"
             )
     return tuple(by_suite.values())
+
+
+def _distinct(folders: Sequence[Path]) -> list[Path]:
+    found: dict[Path, Path] = {}
+    for folder in folders:
+        found.setdefault(folder.resolve(), folder)
+    return list(found.values())
 
 
 def _joined(a: Results, b: Results) -> Results:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from thinkgrasp.benchmark import published
 from thinkgrasp.benchmark.document import Table
-from thinkgrasp.benchmark.failures import STAGES
+from thinkgrasp.benchmark.failures import STAGES, Stage
 from thinkgrasp.benchmark.metrics import Cost, Mean, Pairing, Rate, Summary, Time, exact_share
 from thinkgrasp.benchmark.results import Results
 from thinkgrasp.benchmark.statistics import Interval
@@ -31,8 +31,8 @@ def main_table(results: Results, summaries: Sequence[Summary], pairs: Mapping[st
             number(s.success.value, 3),
             bounds(s.n_success.interval, 3),
             number(s.steps.value, 2),
-            _steps(s.steps_at_limit),
-            _steps(s.success_steps),
+            mean_text(s.steps_at_limit),
+            mean_text(s.success_steps),
             p_value(pairs[s.method].success_p_holm) if s.method in pairs else "reference",
         )
         for s in summaries
@@ -43,9 +43,9 @@ def main_table(results: Results, summaries: Sequence[Summary], pairs: Mapping[st
          "average success steps", "p against reference"),
         tuple(rows),
         "Averages over the runs of a task, then over the tasks. Success: Wilson's interval of all episodes; steps: "
-        "stratified bootstrap. Average steps count the grasps that a failure used, so that giving up early looks cheap; "
-        f"the next column counts every failure as {results.step_limit}. p: exact McNemar test on the same piles, "
-        "adjusted for the number of methods (Holm).",
+        "stratified bootstrap. Average steps count the grasps that a failure used, so that giving up early looks "
+        f"cheap; the next column counts every failure as {results.step_limit}. p: exact McNemar test on the same "
+        "piles, adjusted for the number of methods (Holm).",
     )  # fmt: skip
 
 
@@ -58,7 +58,7 @@ def pairing_table(pairs: Sequence[Pairing]) -> Table:
             f"{p.both} / {p.only_method} / {p.only_reference} / {p.neither}",
             f"{p.success_difference:+.3f} ({bounds(p.success_interval, 3, signed=True)})",
             f"{p_value(p.success_p)} ({p_value(p.success_p_holm)})",
-            _steps(p.steps_difference, signed=True),
+            mean_text(p.steps_difference, signed=True),
             f"{p_value(p.steps_p)} ({p_value(p.steps_p_holm)})",
         )
         for p in pairs
@@ -68,9 +68,9 @@ def pairing_table(pairs: Sequence[Pairing]) -> Table:
         ("method", "pairs", "both / only it / only reference / neither", "success difference (95 %)", "p (Holm)",
          "steps difference (95 %)", "p (Holm)"),
         tuple(rows),
-        "Only piles on which both finished. Success: exact McNemar test, Newcombe's paired interval. Steps count a failure "
-        "as all attempts: exact test of the differences' signs (Pitman), bootstrap interval. p in brackets is adjusted for "
-        "the number of methods (Holm).",
+        "Only piles on which both finished. Success: exact McNemar test, Newcombe's paired interval. Steps count a "
+        "failure as all attempts: exact test of the differences' signs (Pitman), bootstrap interval. p in brackets is "
+        "adjusted for the number of methods (Holm).",
     )  # fmt: skip
 
 
@@ -81,8 +81,8 @@ def efficiency_table(results: Results, summaries: Sequence[Summary]) -> Table:
         (
             s.method,
             f"{s.efficiency.episodes} of {s.efficiency.successes}",
-            _steps(s.efficiency.ratio),
-            _steps(s.efficiency.extra),
+            mean_text(s.efficiency.ratio),
+            mean_text(s.efficiency.extra),
         )
         for s in summaries
     ]
@@ -91,7 +91,8 @@ def efficiency_table(results: Results, summaries: Sequence[Summary]) -> Table:
         ("method", "solved episodes counted", "grasps / fewest", "grasps more than fewest"),
         tuple(rows),
         f"Fewest: searched in the simulator. Only successes on piles where the search was complete: {share.k} of "
-        f"{share.n} piles ({percent(share.value)}); the other {share.n - share.k} are left out.",
+        f"{share.n} piles ({percent(share.value)}); the other {share.n - share.k} are left out. A method that solves "
+        "only what is easy looks good here: read it beside its success.",
     )
 
 
@@ -120,9 +121,9 @@ def reasoning_table(summaries: Sequence[Summary]) -> Table:
         "Obstruction reasoning",
         ("method", "choices", "right (95 %)", "blind pick", "points over blind pick, 95 %"),
         tuple(rows),
-        "Right: the goal where it could be taken, else something that truly obstructs it. Blind pick: how often any object "
-        "in view would have been right, at the same steps. Steps of an episode belong together: intervals resample "
-        "episodes.",
+        "Right: the goal where it could be taken, else something that truly obstructs it. Blind pick: how often any "
+        "object in view would have been right, at the same steps. Steps of an episode belong together: intervals "
+        "resample episodes.",
     )
 
 
@@ -147,8 +148,8 @@ def grasps_table(summaries: Sequence[Summary]) -> Table:
         ("method", "held", "grasp success (95 %)", "held, at a goal", "goal grasp success (95 %)", "wrong / delivered",
          "wrong-object rate (95 %)", "toppled per episode", "pushed out per episode"),
         tuple(rows),
-        "Held: from closing until it was let go over the bin, of all executed grasps. Wrong: another object delivered as "
-        "the goal, of all deliveries meant as the goal. Intervals resample episodes.",
+        "Held: from closing until it was let go over the bin, of all executed grasps. Wrong: another object delivered "
+        "as the goal, of all deliveries meant as the goal. Intervals resample episodes.",
     )  # fmt: skip
 
 
@@ -161,8 +162,8 @@ def time_table(summaries: Sequence[Summary]) -> Table:
         "Time of a step [ms], median / 90th percentile",
         ("method", *stages),
         tuple(rows),
-        "Wall time while the workers shared the machine; rest: execution in the simulator, the next frame, and decisions "
-        "that were put aside.",
+        "Wall time while the workers shared the machine; rest: execution in the simulator, the next frame, and "
+        "decisions that were put aside.",
     )
 
 
@@ -196,7 +197,7 @@ def degraded_table(summaries: Sequence[Summary]) -> Table | None:
 def failure_table(summaries: Sequence[Summary]) -> Table:
     """Return which stage cost how many episodes."""
     counts = {s.method: Counter(f.stage for f in s.failures) for s in summaries}
-    stages = [stage for stage in STAGES if any(own[stage] for own in counts.values())]
+    stages: list[Stage] = [stage for stage in STAGES if any(own[stage] for own in counts.values())]
     rows = [
         (s.method, str(len(s.failures)), *(_share(counts[s.method][stage], s.finished) for stage in stages))
         for s in summaries
@@ -267,8 +268,8 @@ def published_table(results: Results, summaries: Sequence[Summary]) -> Table:
         f"The paper's {'clutter' if group == 'clutter' else 'heavy clutter'} averages, and ours",
         ("method", "average success", "95 %", "average steps", "average success steps"),
         tuple(rows),
-        f"{published.SOURCE} The intervals of its rates are ours: Wilson's, where the rate is a whole number of episodes "
-        f"at {published.RUNS} runs a task.",
+        f"{published.SOURCE} The intervals of its rates are ours: Wilson's, where the rate is a whole number of "
+        f"episodes at {published.RUNS} runs a task.",
     )
 
 
@@ -289,14 +290,15 @@ def bounds(interval: Interval | None, digits: int, *, scale: float = 1, signed: 
     return " to ".join(number(scale * at, digits, signed=signed) for at in interval)
 
 
+def mean_text(mean: Mean, *, signed: bool = False) -> str:
+    """Return "2.31 (2.02 to 2.70)"."""
+    shown = number(mean.value, 2, signed=signed)
+    return shown if mean.interval is None else f"{shown} ({bounds(mean.interval, 2, signed=signed)})"
+
+
 def p_value(p: float) -> str:
     """Return "0.031" or "< 0.001"."""
     return "< 0.001" if p < 0.001 else f"{p:.3f}"
-
-
-def _steps(mean: Mean, *, signed: bool = False) -> str:
-    shown = number(mean.value, 2, signed=signed)
-    return shown if mean.interval is None else f"{shown} ({bounds(mean.interval, 2, signed=signed)})"
 
 
 def _rate(rate: Rate) -> str:
