@@ -80,7 +80,8 @@ def test_grasps_and_deliveries():
 def test_reasoning_against_chance():
     steps = [
         made.step(1, is_right=True, chance=0.5), made.step(2, is_right=False, chance=0.1),
-        made.step(3, is_right=None, chance=None, status="no_target", reason=None), made.step(4, is_right=True, chance=0.3),
+        made.step(3, is_right=None, chance=None, status="no_target", reason=None),
+        made.step(4, is_right=True, chance=0.3),
     ]  # fmt: skip
     found = results(steps, [EpisodeRecord("offline", FRUIT, 1000, True, "goal_delivered", 3)])
     reasoning = summarize(found, "offline").reasoning
@@ -132,8 +133,8 @@ def test_what_was_spent():
 
 def test_pairs_only_where_both_finished():
     found = results(
-        made.episode(1, task=FRUIT, seed=1000), made.episode(2, task=FRUIT, seed=1001), made.episode(2, False, task=PEAR),
-        made.episode(9, task=PEAR, seed=1001),
+        made.episode(1, task=FRUIT, seed=1000), made.episode(2, task=FRUIT, seed=1001),
+        made.episode(2, False, task=PEAR), made.episode(9, task=PEAR, seed=1001),
         made.episode(3, method="oracle", task=FRUIT, seed=1000), made.episode(1, False, "oracle", FRUIT, 1001),
         made.episode(4, method="oracle", task=PEAR),
         methods=("offline", "oracle", "no-memory"),
@@ -213,7 +214,8 @@ def test_same_results_look_past_times_only():
     one = [made.scene(), step, end]
     times = (("scene", 99.0), ("total", 100.0))
     other = [
-        made.scene(seconds=9.0), replace(step, seconds=7.0, timings_ms=times), replace(end, seconds=5.0, usage=replace(end.usage, latency_s=8.0))
+        made.scene(seconds=9.0), replace(step, seconds=7.0, timings_ms=times),
+        replace(end, seconds=5.0, usage=replace(end.usage, latency_s=8.0))
     ]  # fmt: skip
     assert same_results(Records(one), Records(other)) == ()
     for changed, word in (

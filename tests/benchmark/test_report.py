@@ -59,9 +59,9 @@ def test_the_report_has_every_part(full):
     text = (full / "report.md").read_text()
     for part in (
         "Success and grasps", "Against offline, pile by pile", "Grasps over the fewest possible", "How episodes ended",
-        "Obstruction reasoning", "Grasps, wrong objects, damage", "What failed episodes failed of", "Failures of vlm@0.5",
-        "Time of a step [ms]", "What the model cost", "Fallbacks taken", "Solved by task", "The paper's clutter averages",
-        "What may be compared", "thinkgrasp bench run --again", "code 0123456789ab", "Seeds 1000 to 1004", "numpy 2.0",
+        "Obstruction reasoning", "Grasps, wrong objects, damage", "What failed episodes failed of",
+        "Failures of vlm@0.5", "Time of a step [ms]", "What the model cost", "Fallbacks taken", "Solved by task",
+        "The paper's clutter averages", "What may be compared", "thinkgrasp bench run --again", "code 0123456789ab", "Seeds 1000 to 1004", "numpy 2.0",
         "Plot in report.html: Share of episodes not yet solved",
     ):  # fmt: skip
         assert part in text, part
@@ -143,10 +143,10 @@ def test_words_of_a_plan_are_no_markup(tmp_path):
 def test_latex_rows(tmp_path):
     episodes = (made.episode(1), made.episode(3, False, task=PEAR), made.episode(2, method="oracle"))
     write_report((small(tmp_path, *episodes, methods=("offline", "oracle")),))
-    rows = [line for line in (tmp_path / "rows.tex").read_text().splitlines() if line.endswith(r"\\")]
+    rows = [line for line in (tmp_path / "rows.tex").read_text().splitlines() if r"\\" in line]
     assert rows == [
-        r"I need a fruit & 1.000 & 1.00 & 1.00 & 1.000 & 2.00 & 2.00 \\",
-        r"I need a fruit & 0.000 & 3.00 & -- & -- & -- & -- \\",
+        r"I need a fruit & 1.000 & 1.00 & 1.00 & 1.000 & 2.00 & 2.00 \\ % clutter-06-fruit",
+        r"I need a fruit & 0.000 & 3.00 & -- & -- & -- & -- \\ % clutter-09-pear",
         r"Average & 0.500 & 2.00 & 1.00 & 1.000 & 2.00 & 2.00 \\",
     ]
 
@@ -203,7 +203,7 @@ def test_what_does_not_fit_together(tmp_path):
     other = made.write(
         tmp_path / "b", made.plan(("oracle",), 1), [made.scene(n_objects=5), *made.episode(1, method="oracle")]
     )
-    with pytest.raises(InputError, match="other piles for clutter-06-fruit seed 1000: 9 objects .* 5 objects"):
+    with pytest.raises(InputError, match=r"other piles for clutter-06-fruit seed 1000: 9 objects .* 5 objects"):
         write_report((a, other))
     again = small(tmp_path / "c", made.episode(2))
     with pytest.raises(InputError, match="other results of offline clutter-06-fruit 1000; `bench compare`"):

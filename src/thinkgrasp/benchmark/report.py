@@ -242,7 +242,7 @@ def _latex(results: Results, summaries: Sequence[Summary]) -> list[str]:
                 if own is None
                 else [_cell(own.success.value, 3), _cell(own.steps, 2), _cell(own.success_steps, 2)]
             )
-        lines.append(" & ".join([_escaped(instructions.get(task, task)), *cells]) + r" \\")
+        lines.append(" & ".join([_escaped(instructions.get(task, task)), *cells]) + rf" \\ % {task}")
     cells = [
         _cell(mean.value, digits)
         for s in summaries
