@@ -61,7 +61,8 @@ def test_the_report_has_every_part(full):
         "Success and grasps", "Against offline, pile by pile", "Grasps over the fewest possible", "How episodes ended",
         "Obstruction reasoning", "Grasps, wrong objects, damage", "What failed episodes failed of",
         "Failures of vlm@0.5", "Time of a step [ms]", "What the model cost", "Fallbacks taken", "Solved by task",
-        "The paper's clutter averages", "What may be compared", "thinkgrasp bench run --again", "code 0123456789ab", "Seeds 1000 to 1004", "numpy 2.0",
+        "The paper's clutter averages", "What may be compared", "thinkgrasp bench run --again",
+        "code 0123456789ab", "Seeds 1000 to 1004", "numpy 2.0",
         "Plot in report.html: Share of episodes not yet solved",
     ):  # fmt: skip
         assert part in text, part

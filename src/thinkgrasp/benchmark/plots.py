@@ -158,7 +158,7 @@ def _frame(bottom: float, y_label: str) -> list[str]:
 def _with_legend(height: float, title: str, parts: Sequence[str], names: Sequence[str]) -> str:
     """Add names with their marks, left to right in rows below the plot."""
     legend: list[str] = []
-    x, y = 20.0, height + 4.0
+    x, y = 20.0, height + 12.0
     for i, name in enumerate(names):
         wide = 44 + 7.6 * len(name)
         if x + wide > WIDTH and x > 20:

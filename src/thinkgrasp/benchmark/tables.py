@@ -249,7 +249,7 @@ def published_table(results: Results, summaries: Sequence[Summary]) -> Table:
             f"{p.method} (paper)",
             f"{p.success(group):.3f}",
             bounds(p.interval(group), 3),
-            number(p.steps(group), 2),
+            _as_given(p.steps(group)),
             NONE,
         )
         for p in published.TABLE
@@ -299,6 +299,10 @@ def mean_text(mean: Mean, *, signed: bool = False) -> str:
 def p_value(p: float) -> str:
     """Return "0.031" or "< 0.001"."""
     return "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def _as_given(value: float | None) -> str:
+    return NONE if value is None else f"{value:g}"
 
 
 def _rate(rate: Rate) -> str:
