@@ -91,15 +91,13 @@ class BenchRun:
             if (self.out / PLAN_FILE).exists() and self.out.samefile(self.again):
                 raise ConfigError("--again and --out are one folder; without --again, --out goes on where it was cut")
             return read_plan(self.again)
-        known = read_plan(self.out) if (self.out / PLAN_FILE).exists() else None
         if self.suite is None:
-            if known is None:
+            if not (self.out / PLAN_FILE).exists():
                 raise ConfigError(f"{self.out} holds no benchmark yet: add --suite (clutter, heavy, ...)")
             if self.preset:
                 raise ConfigError("--preset needs --suite too")
-            return known
-        asked = self._asked(self.suite)
-        return known.merged(asked) if known else asked
+            return read_plan(self.out)
+        return self._asked(self.suite)
 
     def _asked(self, suite: str) -> BenchmarkPlan:
         from thinkgrasp.benchmark.methods import parse_method

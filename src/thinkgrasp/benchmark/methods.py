@@ -1,8 +1,8 @@
 """Methods by name: what runs in the cell, at which quality of an emulated model, with whose perception.
 
-NAME[@ACCURACY][+truth], where NAME is a preset, a configuration saved as JSON, one of the methods below, or a plug-in in
-place of the offline preset's own as `planner=NAME`, `segmenter=NAME`, `generator=NAME` or `scene=NAME`. `@1` or `@0.8`
-answers its planner's requests with an emulated model that is right so often; without it the real model is asked.
+NAME[@ACCURACY][+truth], where NAME is a preset, a configuration saved as JSON, one of the methods below, or a plug-in
+in place of the offline preset's own as `planner=NAME`, `segmenter=NAME`, `generator=NAME` or `scene=NAME`. `@1` or
+`@0.8` answers its planner's requests with an emulated model that is right so often; without it the real model is asked.
 `+truth` replaces its perception by the simulator's.
 """
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import fcntl
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -137,7 +137,7 @@ class EpisodeRecord:
     """Executed grasps."""
     goals_lost: int = 0
     """Goals that lay neither on the table nor in the bin at the end."""
-    usage: Usage = Usage()
+    usage: Usage = field(default_factory=Usage)
     """Of all decisions, those that were not acted upon included."""
     seconds: float = 0.0
     error: str = ""

@@ -20,8 +20,8 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-from thinkgrasp.benchmark.plan import BenchmarkPlan
-from thinkgrasp.benchmark.reachability import fewest_steps
+from thinkgrasp.benchmark.fewest_steps import fewest_steps
+from thinkgrasp.benchmark.plan import PLAN_FILE, BenchmarkPlan, read_plan
 from thinkgrasp.benchmark.records import (
     CRASHED,
     NO_SCENE,
@@ -94,17 +94,19 @@ def run_benchmark(
     """Run what a folder does not hold yet.
 
     Args:
-        plan: What to run.
+        plan: What to run, besides what the folder's own plan says.
         folder: Gets benchmark.json and records.jsonl.
         source: Where it runs: `local_workers` or `ray_workers`.
         tell: Gets one line of progress per episode.
         retry_crashed: Run those again that crashed.
 
     Raises:
-        ConfigError: Another process writes to the folder.
+        ConfigError: Another process writes to the folder, or it holds results of other piles or other methods.
         InputError: The folder cannot be used, or holds what is no benchmark.
     """
     with RecordLog(folder, drop=lambda episode: retry_crashed and episode.end == CRASHED) as log:
+        if (folder / PLAN_FILE).exists():
+            plan = read_plan(folder).merged(plan)
         plan.started().write(folder)
         groups = deque(missing_groups(plan, log.records))
         progress = _Progress(sum(len(group.methods) for group in groups), tell)
@@ -177,7 +179,7 @@ def run_group(plan: BenchmarkPlan, group: Group, emit: Callable[[Record], None])
                 visible=tuple(round(share, 4) for share in scene.visible_fractions),
                 n_objects=len(scene.spec.objects),
                 fewest=fewest.steps,
-                is_fewest_exact=fewest.is_exact,
+                is_fewest_exact=fewest.exact,
                 seconds=round(time.perf_counter() - start, 3),
             )
         )

@@ -73,6 +73,9 @@ class _Observer:
         self._truth = Reachability(session.world, session.goals, session.views)
         self._labels: list[np.ndarray] = []
         self._poses = session.world.poses()
+        self._right = frozenset[int]()
+        self._chance = 0.0
+        self._is_goal_takeable = False
         self._since = 0.0
         self._step = 0
 
@@ -81,6 +84,9 @@ class _Observer:
         self._labels = [true_labels(self._session.world, view) for view in self._session.views]
         self._poses = self._session.world.poses()
         self._truth.refresh()
+        self._right = self._truth.right_choices()
+        self._chance = round(self._truth.chance(), 4)
+        self._is_goal_takeable = any(self._truth.takeable(goal) for goal in self._session.goals)
         self._since = time.perf_counter()
         return False
 
@@ -90,7 +96,6 @@ class _Observer:
         timings = dict(decision.timings_ms)
         aimed = self._aimed(decision)
         is_chosen = decision.status == "grasp"
-        is_right, chance = self._truth.judge(aimed)
         attempt = session.robot.attempts[-1] if outcome is not None else None
         touched = attempt.truth.touched if attempt else None
         delivered = attempt.truth.delivered if attempt else None
@@ -106,16 +111,16 @@ class _Observer:
                 aimed=self._name(aimed),
                 is_goal_aimed=aimed in session.goals,
                 is_goal_in_view=seen >= IN_VIEW_SHARE * self._labels[0].size,
-                is_goal_takeable=any(self._truth.takeable(goal) for goal in session.goals),
-                is_right=is_right if is_chosen else None,
-                chance=round(chance, 4) if is_chosen else None,
+                is_goal_takeable=self._is_goal_takeable,
+                is_right=aimed in self._right if is_chosen else None,
+                chance=self._chance if is_chosen else None,
                 reason=outcome.reason if outcome is not None else None,
                 touched=self._name(touched),
                 delivered=self._name(delivered),
                 is_goal_touched=touched in session.goals,
                 is_goal_delivered=delivered in session.goals,
                 moved_out=tuple(self._name(i) for i in attempt.moved_out) if attempt else (),
-                toppled=tuple(self._name(i) for i in self._toppled(delivered)) if attempt else (),
+                toppled=tuple(self._name(i) for i in toppled(self._poses, session.world.poses(), {touched, delivered})),
                 degraded=tuple(f"{d.stage}: {d.fallback}" for d in decision.degraded),
                 timings_ms=tuple((stage, round(ms, 2)) for stage, ms in decision.timings_ms),
                 seconds=round(passed - timings["total"] / 1e3, 4),
@@ -136,11 +141,6 @@ class _Observer:
         of_target = labels[decision.target.mask]
         of_target = of_target[of_target >= 0]
         return int(np.bincount(of_target).argmax()) if len(of_target) else None
-
-    def _toppled(self, delivered: int | None) -> tuple[int, ...]:
-        world = self._session.world
-        taken = () if delivered is None else (delivered,)
-        return tuple(i for i in toppled(self._poses, world.poses(), taken) if world.on_table(i))
 
     def _name(self, index: int | None) -> str:
         return "" if index is None else self._session.world.objects[index].name

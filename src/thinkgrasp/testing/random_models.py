@@ -12,6 +12,8 @@ from typing import Any
 _SPECIAL = {0: "[PAD]", 100: "[UNK]", 101: "[CLS]", 102: "[SEP]", 103: "[MASK]", 1012: ".", 1029: "?"}
 """Where BERT has them: GroundingDINO knows the ends of phrases by these numbers."""
 _LETTERS = "abcdefghijklmnopqrstuvwxyz0123456789"
+FULL_SPREAD = 0.5
+"""Keeps the size of what passes through. The library's own spread lets it vanish, and such numbers are slow on CPUs."""
 
 
 def save_grounding_dino(folder: Path, *, small: bool = True, seed: int = 0) -> Path:
@@ -52,7 +54,7 @@ def save_grounding_dino(folder: Path, *, small: bool = True, seed: int = 0) -> P
     else:
         config = GroundingDinoConfig()
     size = {"shortest_edge": 96, "longest_edge": 160} if small else {"shortest_edge": 800, "longest_edge": 1333}
-    _save(GroundingDinoForObjectDetection, config, folder, seed, 0.4 if small else None)
+    _save(GroundingDinoForObjectDetection, config, folder, seed, 0.4 if small else FULL_SPREAD)
     _save_input(folder, {"size": size, "image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225]})
     _save_bert_tokenizer(folder, 1200 if small else 30522)
     return folder
@@ -83,7 +85,7 @@ def save_sam(folder: Path, *, small: bool = True, seed: int = 0) -> Path:
         )
     else:
         config = SamConfig()
-    _save(SamModel, config, folder, seed, 0.3 if small else None)
+    _save(SamModel, config, folder, seed, 0.3 if small else FULL_SPREAD)
     _save_input(folder, {"size": {"longest_edge": side}, "pad_size": {"height": side, "width": side}})
     return folder
 
@@ -125,7 +127,7 @@ def save_sam2(folder: Path, *, small: bool = True, seed: int = 0) -> Path:
     else:
         hiera = Sam2HieraDetConfig(blocks_per_stage=[1, 2, 11, 2], global_attention_blocks=[7, 10, 13])
         config = Sam2Config(vision_config=Sam2VisionConfig(backbone_config=hiera))
-    _save(Sam2Model, config, folder, seed, 0.3 if small else None)
+    _save(Sam2Model, config, folder, seed, 0.3 if small else FULL_SPREAD)
     _save_input(folder, {"size": {"height": side, "width": side}})
     return folder
 
@@ -171,20 +173,20 @@ def save_sam3(folder: Path, *, small: bool = True, seed: int = 0) -> Path:
         )
     else:
         config = Sam3Config()
-    _save(Sam3Model, config, folder, seed, 0.4 if small else None)
+    _save(Sam3Model, config, folder, seed, 0.4 if small else FULL_SPREAD)
     _save_input(folder, {"size": {"height": side, "width": side}, "image_mean": [0.5] * 3, "image_std": [0.5] * 3})
     _save_clip_tokenizer(folder, 600 if small else 49408)
     return folder
 
 
-def _save(cls: Any, config: Any, folder: Path, seed: int, spread: float | None) -> None:
+def _save(cls: Any, config: Any, folder: Path, seed: int, spread: float) -> None:
     """Save a model with random weights; `spread` draws all matrices anew, wide enough for outputs to differ."""
     import torch
 
     with torch.random.fork_rng(), torch.no_grad():
         torch.manual_seed(seed)
         model = cls(config)
-        for parameter in model.parameters() if spread is not None else ():
+        for parameter in model.parameters():
             if parameter.dim() > 1:
                 fan_in = parameter[0].numel()
                 parameter.normal_(std=spread * max(fan_in, 1) ** -0.5 * 2)
