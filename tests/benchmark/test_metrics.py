@@ -157,6 +157,15 @@ def test_p_values_are_adjusted_for_the_number_of_methods():
     assert [p.success_p_holm for p in found] == pytest.approx([4 / 64] * 2)
 
 
+def test_fallbacks_count_by_kind():
+    steps = [made.step(1, degraded=("select: the next match (mug)", "plan: offline")),
+             made.step(2, degraded=("select: the next match (pear)",))]  # fmt: skip
+    found = results(steps, [EpisodeRecord("offline", FRUIT, 1000, True, "goal_delivered", 2)])
+    s = summarize(found, "offline")
+    assert dict(s.degraded) == {"select: the next match": 2, "plan: offline": 1}
+    assert s.n_decisions == 2
+
+
 def test_an_early_end_is_never_solved(four):
     left = unsolved(four, "offline")
     assert left[:5] == (1.0, 0.75, 0.5, 0.5, 0.25)

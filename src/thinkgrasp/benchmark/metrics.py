@@ -135,6 +135,7 @@ class Summary:
     """By stage of the decision, and "rest" for all else of a step."""
     cost: Cost
     degraded: Mapping[str, int]
+    """How often each fallback was taken; what stands in brackets behind it is left out."""
     n_decisions: int
     failures: tuple[Failure, ...]
 
@@ -220,7 +221,7 @@ def summarize(results: Results, method: str) -> Summary:
         pushed_out=count("moved_out"),
         times=_times(steps),
         cost=_cost(told),
-        degraded=Counter(what for step in steps for what in step.degraded),
+        degraded=Counter(what.partition(" (")[0] for step in steps for what in step.degraded),
         n_decisions=len(steps),
         failures=tuple(
             failure(episode, own, results.records.scenes.get(SceneKey(episode.task, episode.seed)))

@@ -306,8 +306,8 @@ def _as_given(value: float | None) -> str:
 
 
 def _rate(rate: Rate) -> str:
-    if rate.value is None:
-        return NONE
+    if rate.interval is None:
+        return percent(rate.value)
     return f"{percent(rate.value)} ({bounds(rate.interval, 1, scale=100)})"
 
 
