@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import random
+import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -63,7 +64,7 @@ def test_the_report_has_every_part(full):
         "Failures of vlm@0.5", "Time of a step [ms]", "What the model cost", "Fallbacks taken", "Solved by task",
         "The paper's clutter averages", "What may be compared", "thinkgrasp bench run --again",
         "code 0123456789ab", "Seeds 1000 to 1004", "numpy 2.0",
-        "Plot in report.html: Share of episodes not yet solved",
+        "![Share of episodes not yet solved](plots/clutter-v1-unsolved.svg)", "its end competes with success",
     ):  # fmt: skip
         assert part in text, part
     assert "Warning" not in text
@@ -131,6 +132,17 @@ def test_the_page_is_well_formed_and_loads_nothing(full):
              ("<svg" + rest for rest in text.split("<svg")[1:])]  # fmt: skip
     assert len(plots) == 5, "success, accuracy, grasps, not yet solved, failures"
     assert all(plot.get("role") == "img" and plot.get("aria-label") for plot in plots)
+
+
+def test_plots_stand_alone(full):
+    named = set(re.findall(r"\]\(plots/(.+?)\)", (full / "report.md").read_text()))
+    files = {path.name: path.read_text() for path in (full / "plots").iterdir()}
+    assert set(files) == named
+    assert len(named) == 5
+    for svg in files.values():
+        ElementTree.fromstring(svg)
+        assert "var(" not in svg
+        assert "class=" not in svg
 
 
 def test_words_of_a_plan_are_no_markup(tmp_path):

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+FIGURES = "plots"
+
 
 @dataclass(frozen=True)
 class Text:
@@ -40,6 +42,8 @@ class Figure:
     """A plot; what it shows stands in a table too."""
 
     title: str
+    name: str
+    """Of its file, without the ending."""
     svg: str
     note: str = ""
 
@@ -57,7 +61,7 @@ class Section:
 
 
 def markdown(title: str, sections: Sequence[Section]) -> str:
-    """Return a report in Markdown; figures are only named."""
+    """Return a report in Markdown; figures are files in the folder FIGURES beside it."""
     lines = [f"# {title}", ""]
     for section in sections:
         lines += [f"{'#' * section.level} {section.title}", ""]
@@ -80,7 +84,8 @@ def _block(block: Block) -> list[str]:
     if isinstance(block, Table):
         return [f"**{block.title}**", "", *table_lines(block), *(["", block.note] if block.note else [])]
     if isinstance(block, Figure):
-        return [f"*Plot in report.html: {block.title}.*"]
+        picture = f"![{block.title}]({FIGURES}/{block.name}.svg)"
+        return [f"**{block.title}**", "", picture, *(["", block.note] if block.note else [])]
     if isinstance(block, Items):
         return [f"**{block.title}**", "", *(f"- {item}" for item in block.items)]
     if block.kind == "code":

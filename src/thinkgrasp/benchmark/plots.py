@@ -1,12 +1,14 @@
-"""Plots of a benchmark as inline SVG: no library, no file, colours from the page's own style.
+"""Plots of a benchmark as SVG: no library, colours from the style of the page that they stand in, or of their own.
 
 A page that shows them defines the colours --s0 to --s7 of the series, --good, --bad, --line and --ink.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from xml.sax.saxutils import escape, quoteattr
 
 from thinkgrasp.benchmark.statistics import Interval
@@ -136,6 +138,17 @@ def stacks(counts: Mapping[str, Mapping[str, int]], totals: Mapping[str, int], t
                 parts.append(f'<text class="on" x="{x + size / 2:.1f}" y="{y + 4:.1f}" text-anchor="middle">{n}</text>')
             x += size
     return _with_legend(_rows_height(len(counts)), title, parts, kinds)
+
+
+def standalone(svg: str) -> str:
+    """Return a plot that needs no page around it: on white, with the colours of the page's light style."""
+    style = resources.files("thinkgrasp.benchmark").joinpath("report.css").read_text("utf-8")
+    colors: dict[str, str] = dict(re.findall(r"(--\w+): (#\w+)", style.partition("@media")[0]))
+    head, _, rest = svg.partition(">")
+    font = f' font-family="sans-serif" font-size="13" fill="{colors["--ink"]}"'
+    plain = f'{head}{font}>\n<rect width="100%" height="100%" fill="#fff"/>{rest}'
+    plain = plain.replace('class="on"', f'fill="{colors["--on"]}" font-weight="bold"')
+    return re.sub(r"var\((--\w+)\)", lambda found: colors[found[1]], plain)
 
 
 def _percent_axis(n_rows: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""What a benchmark found: report.md, report.html and rows.tex beside its results."""
+"""What a benchmark found: report.md with its plots, report.html and rows.tex beside the results."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from thinkgrasp.benchmark import plots, published, tables
 from thinkgrasp.benchmark.comparison import compare as compare
-from thinkgrasp.benchmark.document import Block, Figure, Items, Section, Text, markdown, table_lines
+from thinkgrasp.benchmark.document import FIGURES, Block, Figure, Items, Section, Text, markdown, table_lines
 from thinkgrasp.benchmark.failures import STAGES
 from thinkgrasp.benchmark.metrics import Pairing, Summary, pairings, summarize, unsolved
 from thinkgrasp.benchmark.plan import Session, different_sources
@@ -17,7 +17,7 @@ from thinkgrasp.benchmark.records import CRASHED, NO_SCENE
 from thinkgrasp.benchmark.report_page import page
 from thinkgrasp.benchmark.results import Results, load_results
 from thinkgrasp.errors import ConfigError
-from thinkgrasp.outputs import write_atomic
+from thinkgrasp.outputs import make_folder, write_atomic
 from thinkgrasp.sim.tasks import TASKS
 
 TITLE = "ThinkGrasp benchmark"
@@ -57,6 +57,10 @@ def write_report(folders: Sequence[Path], reference: str | None = None) -> str:
         ]
         rows += _latex(results, summaries)
     first = folders[0]
+    make_folder(first / FIGURES)
+    for block in (block for section in sections for block in section.blocks):
+        if isinstance(block, Figure):
+            write_atomic(first / FIGURES / f"{block.name}.svg", plots.standalone(block.svg).encode())
     write_atomic(first / MARKDOWN, markdown(TITLE, sections).encode())
     write_atomic(first / HTML, page(TITLE, sections).encode())
     write_atomic(first / LATEX, ("\n".join(rows) + "\n").encode())
@@ -80,14 +84,20 @@ def _sections(
             Text(f"{results.suite} has no results of {reference}; its reference is {results.methods[0]}.", "note")
         )
     head.append(tables.main_table(results, summaries, by_method))
-    head.append(Figure("Success with 95 % intervals", plots.rates(_bars(summaries), f"Success, {results.suite}")))
+    head.append(
+        Figure(
+            "Success with 95 % intervals",
+            f"{results.suite}-success",
+            plots.rates(_bars(summaries), f"Success, {results.suite}"),
+        )
+    )
     if pairs:
         head.append(tables.pairing_table(pairs))
     steps: list[Block] = [
         tables.efficiency_table(results, summaries),
-        Figure("Grasps per episode", _histograms(results, summaries)),
+        Figure("Grasps per episode", f"{results.suite}-grasps", _histograms(results, summaries)),
         Figure(
-            "Share of episodes not yet solved",
+            "Share of episodes not yet solved", f"{results.suite}-unsolved",
             plots.survival(
                 {s.method: unsolved(results, s.method) for s in summaries},
                 f"Episodes not yet solved, {results.suite}", "executed grasps", "not yet solved",
@@ -104,7 +114,8 @@ def _sections(
     curves = _accuracy_curves(summaries)
     if curves:
         title = "Success over how often the emulated model is right"
-        head.append(Figure(title, plots.curves(curves, title, "right replies of the emulated model", "success")))
+        plot = plots.curves(curves, title, "right replies of the emulated model", "success")
+        head.append(Figure(title, f"{results.suite}-accuracy", plot))
     return [
         Section(results.suite, tuple(head)),
         Section(f"{results.suite}: by task", (tables.task_success_table(results, summaries),
@@ -184,7 +195,8 @@ def _failures(results: Results, summaries: Sequence[Summary]) -> tuple[Block, ..
     present = [stage for stage in STAGES if any(own[stage] for own in counts.values())]
     ordered = {method: {stage: own[stage] for stage in present} for method, own in counts.items()}
     title = f"Failed episodes by what cost them, {results.suite}"
-    figure = Figure(title, plots.stacks(ordered, {s.method: s.finished for s in failing}, title))
+    plot = plots.stacks(ordered, {s.method: s.finished for s in failing}, title)
+    figure = Figure(title, f"{results.suite}-failures", plot)
     items = [
         Items(
             f"Failures of {s.method} ({len(s.failures)} of {s.finished})",
