@@ -73,9 +73,6 @@ class _Observer:
         self._truth = Reachability(session.world, session.goals, session.views)
         self._labels: list[np.ndarray] = []
         self._poses = session.world.poses()
-        self._right = frozenset[int]()
-        self._chance = 0.0
-        self._is_goal_takeable = False
         self._since = 0.0
         self._step = 0
 
@@ -84,17 +81,16 @@ class _Observer:
         self._labels = [true_labels(self._session.world, view) for view in self._session.views]
         self._poses = self._session.world.poses()
         self._truth.refresh()
-        self._right = self._truth.right_choices()
-        self._chance = round(self._truth.chance(), 4)
-        self._is_goal_takeable = any(self._truth.takeable(goal) for goal in self._session.goals)
         self._since = time.perf_counter()
         return False
 
     def record(self, decision: Decision, outcome: Outcome | None) -> None:
         """Keep a finished step."""
         passed, session = time.perf_counter() - self._since, self._session
-        timings = dict(decision.timings_ms)
-        aimed = self._aimed(decision)
+        looked_from, timings = decision.scene.frame.T_world_camera, dict(decision.timings_ms)
+        view = next(i for i, v in enumerate(session.views) if np.array_equal(v.T_world_camera, looked_from))
+        aimed = _aimed(decision, self._labels[view])
+        judged = self._truth.judge(aimed, view)
         is_chosen = decision.status == "grasp"
         attempt = session.robot.attempts[-1] if outcome is not None else None
         touched = attempt.truth.touched if attempt else None
@@ -111,9 +107,9 @@ class _Observer:
                 aimed=self._name(aimed),
                 is_goal_aimed=aimed in session.goals,
                 is_goal_in_view=seen >= IN_VIEW_SHARE * self._labels[0].size,
-                is_goal_takeable=self._is_goal_takeable,
-                is_right=aimed in self._right if is_chosen else None,
-                chance=self._chance if is_chosen else None,
+                is_goal_takeable=judged.goal_takeable,
+                is_right=judged.right if is_chosen else None,
+                chance=round(judged.chance, 4) if is_chosen else None,
                 reason=outcome.reason if outcome is not None else None,
                 touched=self._name(touched),
                 delivered=self._name(delivered),
@@ -128,19 +124,14 @@ class _Observer:
             )
         )
 
-    def _aimed(self, decision: Decision) -> int | None:
-        """Return the object that most pixels of the target truly show."""
-        frame = decision.scene.frame
-        if decision.target is None or frame.T_world_camera is None:
-            return None
-        labels = next(
-            labels
-            for view, labels in zip(self._session.views, self._labels, strict=True)
-            if np.array_equal(view.T_world_camera, frame.T_world_camera)
-        )
-        of_target = labels[decision.target.mask]
-        of_target = of_target[of_target >= 0]
-        return int(np.bincount(of_target).argmax()) if len(of_target) else None
-
     def _name(self, index: int | None) -> str:
         return "" if index is None else self._session.world.objects[index].name
+
+
+def _aimed(decision: Decision, labels: np.ndarray) -> int | None:
+    """Return the object that most pixels of the target truly show."""
+    if decision.target is None:
+        return None
+    of_target = labels[decision.target.mask]
+    of_target = of_target[of_target >= 0]
+    return int(np.bincount(of_target).argmax()) if len(of_target) else None
