@@ -9,7 +9,7 @@ from thinkgrasp.benchmark.document import Table, table_lines
 from thinkgrasp.benchmark.metrics import pair
 from thinkgrasp.benchmark.plan import BenchmarkPlan, different_sources
 from thinkgrasp.benchmark.records import EpisodeRecord, SceneKey
-from thinkgrasp.benchmark.results import Results, load_results, same_results
+from thinkgrasp.benchmark.results import Results, changed_records, load_results, only_in_one
 from thinkgrasp.benchmark.statistics import wilson
 from thinkgrasp.benchmark.tables import bounds, mean_text, p_value
 from thinkgrasp.errors import InputError
@@ -32,13 +32,23 @@ def compare(a: Path, b: Path) -> str:
     lines += _methods(first, second, shared) if shared else ["they share no method with finished episodes"]
     changed = [line for method in shared for line in _changes(first, second, method)]
     lines += ["", f"episodes whose result changed: {len(changed)}", *_some(changed)]
-    differences = same_results(first.records, second.records)
-    if differences:
-        lines += ["", f"records that differ in more than times: {len(differences)}", *_some(differences)]
-    else:
-        n = len(first.records.episodes)
-        lines += ["", f"same results: all {n} episodes are identical step by step, apart from times"]
+    missing = only_in_one(first.records, second.records)
+    if missing:
+        lines += ["", f"only in A or only in B: {len(missing)}", *_some(missing)]
+    lines += ["", *_identity(first, second)]
     return "\n".join(lines)
+
+
+def _identity(a: Results, b: Results) -> list[str]:
+    """Say whether what both hold is the same, step by step."""
+    n = len(a.records.episodes.keys() & b.records.episodes.keys())
+    different = changed_records(a.records, b.records)
+    if not different:
+        return [f"same results: all {n} episodes that both hold are identical step by step, apart from times"]
+    return [
+        f"of {n} episodes and their piles that both hold, {len(different)} differ in more than times:",
+        *_some(different),
+    ]
 
 
 def _plans(a: Results, b: Results) -> list[str]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 FIGURES = "plots"
+FOLDED = 6
+"""Lists longer than this are folded away."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +21,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Items:
-    """A list; long ones are folded away where a page can do that."""
+    """A list; long ones are folded away."""
 
     title: str
     items: tuple[str, ...]
@@ -87,7 +89,10 @@ def _block(block: Block) -> list[str]:
         picture = f"![{block.title}]({FIGURES}/{block.name}.svg)"
         return [f"**{block.title}**", "", picture, *(["", block.note] if block.note else [])]
     if isinstance(block, Items):
-        return [f"**{block.title}**", "", *(f"- {item}" for item in block.items)]
+        items = [f"- {item}" for item in block.items]
+        if len(items) > FOLDED:
+            return ["<details>", f"<summary>{block.title}</summary>", "", *items, "", "</details>"]
+        return [f"**{block.title}**", "", *items]
     if block.kind == "code":
         return ["```", block.words, "```"]
     return [f"> **Warning.** {block.words}"] if block.kind == "warning" else [block.words]

@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from html import escape
 from importlib import resources
 
-from thinkgrasp.benchmark.document import Block, Figure, Items, Section, Table, Text
+from thinkgrasp.benchmark.document import FOLDED, Block, Figure, Items, Section, Table, Text
 
-FOLDED = 6
-"""Lists longer than this are folded away."""
 _STYLE = resources.files("thinkgrasp.benchmark").joinpath("report.css").read_text("utf-8")
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 

@@ -149,22 +149,34 @@ def same_results(a: Records, b: Records) -> tuple[str, ...]:
 
     The order of the records and episodes that are not finished are left out of it.
     """
-    differences: list[str] = []
+    return (*only_in_one(a, b), *changed_records(a, b))
+
+
+def only_in_one(a: Records, b: Records) -> tuple[str, ...]:
+    """Return the piles and episodes that only one of two sets holds."""
+    found: list[str] = []
     for what, mine, theirs in (("pile", a.scenes, b.scenes), ("episode", a.episodes, b.episodes)):
-        for missing, where in ((theirs.keys() - mine.keys(), "second"), (mine.keys() - theirs.keys(), "first")):
-            differences += [f"{what} {_words(key)} only in the {where}" for key in sorted(missing)]
+        for missing, where in ((mine.keys() - theirs.keys(), "first"), (theirs.keys() - mine.keys(), "second")):
+            found += [f"{what} {_words(key)} only in the {where}" for key in sorted(missing)]
+    return tuple(found)
+
+
+def changed_records(a: Records, b: Records) -> tuple[str, ...]:
+    """Return piles and episodes that two sets hold otherwise, times apart; of each the first difference."""
+    found: list[str] = []
     for key in sorted(a.scenes.keys() & b.scenes.keys()):
-        differences += _changed(f"pile {_words(key)}", a.scenes[key], b.scenes[key])
+        found += _changed(f"pile {_words(key)}", a.scenes[key], b.scenes[key])
     for key in sorted(a.episodes.keys() & b.episodes.keys()):
         name = f"episode {_words(key)}"
         mine, theirs = a.steps.get(key, []), b.steps.get(key, [])
-        found = _changed(name, a.episodes[key], b.episodes[key])
+        own: list[str] = []
         for one, other in zip(mine, theirs, strict=False):
-            found += _changed(f"{name} step {one.step}", one, other)
+            own += _changed(f"{name} step {one.step}", one, other)
+        own += _changed(name, a.episodes[key], b.episodes[key])
         if len(mine) != len(theirs):
-            found.append(f"{name}: {len(mine)} and {len(theirs)} decisions")
-        differences += found[:1]
-    return tuple(differences)
+            own.append(f"{name}: {len(mine)} and {len(theirs)} decisions")
+        found += own[:1]
+    return tuple(found)
 
 
 def _changed(name: str, a: Record, b: Record) -> list[str]:
