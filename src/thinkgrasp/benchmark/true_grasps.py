@@ -28,8 +28,8 @@ MARGIN_M = 0.001
 """Fingers and palm are enlarged by this much against those points."""
 CLEARANCE_M = 0.004
 """Room between each open finger and the contact: the least that a generator of ours leaves."""
-ENGAGEMENT_M = 0.003
-"""The contacts lie at least this far behind the fingertips."""
+ENGAGEMENT_M = 0.002
+"""The contacts lie at least this far behind the fingertips, as generators of ours have it."""
 OBSTACLE_SPACING_M = 0.007
 """The same for other objects' surfaces."""
 N_SEEDS = 300
