@@ -61,10 +61,7 @@ class BenchRun:
             raise ConfigError(f"--workers and --runs must be at least 1, got {self.workers} and {self.runs}")
         if self.ray is not None and self.workers != 1:
             raise ConfigError("--ray uses the cluster's own workers; leave out --workers")
-        try:
-            import mujoco  # noqa: F401  (the simulator; everything below needs it)
-        except ModuleNotFoundError as error:
-            raise MissingDependency("mujoco-core", "sim", "the benchmark") from error
+        _check_simulator()
         from thinkgrasp.benchmark.records import CRASHED, NO_SCENE
         from thinkgrasp.benchmark.report import write_report
         from thinkgrasp.benchmark.runner import local_workers, run_benchmark
@@ -133,6 +130,7 @@ class BenchReport:
 
     def run(self) -> int:
         """Carry the command out and return the exit code."""
+        _check_simulator()
         from thinkgrasp.benchmark.report import write_report
 
         if not self.folders:
@@ -152,7 +150,8 @@ class BenchCompare:
 
     def run(self) -> int:
         """Carry the command out and return the exit code."""
-        from thinkgrasp.benchmark.report import compare
+        _check_simulator()
+        from thinkgrasp.benchmark.comparison import compare
 
         print(compare(self.a, self.b))
         return 0
@@ -173,6 +172,14 @@ class BenchCommand:
     def run(self) -> int:
         """Carry the command out and return the exit code."""
         return self.command.run()
+
+
+def _check_simulator() -> None:
+    """Raise MissingDependency where there is no simulator: everything of the benchmark needs it."""
+    try:
+        import mujoco  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise MissingDependency("mujoco-core", "sim", "the benchmark") from error
 
 
 def _tell(text: str) -> None:

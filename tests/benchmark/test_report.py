@@ -11,9 +11,10 @@ import pytest
 from fakes import benchmark_results as made
 
 from thinkgrasp.benchmark import published
+from thinkgrasp.benchmark.comparison import compare
 from thinkgrasp.benchmark.document import Table, table_lines
 from thinkgrasp.benchmark.records import CRASHED, EpisodeRecord
-from thinkgrasp.benchmark.report import compare, write_report
+from thinkgrasp.benchmark.report import write_report
 from thinkgrasp.errors import ConfigError, InputError
 from thinkgrasp.types import Usage
 

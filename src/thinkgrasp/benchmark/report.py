@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from thinkgrasp.benchmark import plots, published, tables
-from thinkgrasp.benchmark.comparison import compare as compare
 from thinkgrasp.benchmark.document import FIGURES, Block, Figure, Items, Section, Text, markdown, table_lines
 from thinkgrasp.benchmark.failures import STAGES
 from thinkgrasp.benchmark.metrics import Pairing, Summary, pairings, summarize, unsolved
