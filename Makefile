@@ -1,7 +1,8 @@
 # make demo    one closed-loop episode in simulation; writes out/demo with report.html
 # make test    all tests, in a fresh .venv
+# make test-ray  the benchmark on a Ray cluster of this machine
 # make lint    ruff and pyright
-# make bench-loop  closed-loop episodes and single grasps in simulation (about an hour; see docs/measurements.md)
+# make bench-loop  single grasps and the benchmark of offline and oracle in simulation (hours; see docs/benchmark.md)
 # make bench   speed and memory stage by stage, perception and language on rendered scenes;
 #              FRAMES=DIR adds the real frames of a folder (see docs/measurements.md)
 
@@ -11,7 +12,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST_ARGS ?= -n auto --dist loadfile
 
-.PHONY: help demo test lint bench bench-loop browser clean
+.PHONY: help demo test test-ray lint bench bench-loop browser clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -21,6 +22,11 @@ demo: $(VENV)/.sim
 
 test: $(VENV)/.test browser
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+# The benchmark on a Ray cluster of this machine.
+test-ray: $(VENV)/.test
+	$(PIP) --editable '.[ray]'
+	$(BIN)/python -m pytest tests/benchmark/test_ray_runner.py
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff check .
@@ -45,7 +51,8 @@ endif
 
 bench-loop: $(VENV)/.test
 	$(BIN)/python benchmarks/grasping.py
-	$(BIN)/python benchmarks/episodes.py --suite all --preset oracle offline --seeds 10 --out out/episodes.jsonl
+	$(BIN)/thinkgrasp bench run --suite clutter --preset offline oracle --workers 2 --out out/bench/clutter
+	$(BIN)/thinkgrasp bench run --suite heavy --preset offline oracle --workers 2 --out out/bench/heavy
 
 # The tests of the 3-D view drive a browser; without one they are skipped, and say so.
 browser:

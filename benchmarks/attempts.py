@@ -20,10 +20,10 @@ from unittest.mock import patch
 
 import numpy as np
 import tyro
-from episode_records import counted
 from settling import Settling
 from trials import run_all
 
+from thinkgrasp.benchmark.failures import counted
 from thinkgrasp.cameras.simulated import SimulatedCamera
 from thinkgrasp.motion.arm import ArmMotion
 from thinkgrasp.pipeline import Pipeline

@@ -26,11 +26,10 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
-from episode_records import RecordLog
 from grasping import Job as LoneObject
 from grasping import lone_object
 from scipy.stats import binomtest
-from trials import rate, run_all
+from trials import TrialLog, rate, run_all
 
 from thinkgrasp.closure import TriangleMesh, grasp_friction
 from thinkgrasp.config import PipelineConfig, StageConfig, load_config
@@ -316,7 +315,7 @@ def _disagreements(by_method: dict[str, list[Trial]]) -> list[str]:
 
 def run_jobs(jobs: Sequence[Job], workers: int, out: Path | None) -> list[Trial]:
     """Run what the file does not have yet; return the trials of all jobs, in their order."""
-    log = RecordLog(out, Trial)
+    log = TrialLog(out, Trial)
     done = {trial.key for trial in log.records}
     missing = [job for job in jobs if job.key not in done]
     for n, trial in enumerate(run_all(run_job, missing, workers), 1):

@@ -9,22 +9,26 @@ among the others.
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import tyro
-from episode_records import EpisodeRecord
-from episode_report import report
-from episodes import Job, run_scene, size_wh
-from trials import run_all
+from trials import rate, run_all
 
+from thinkgrasp.benchmark.failures import counted
+from thinkgrasp.benchmark.methods import parse_method
+from thinkgrasp.benchmark.records import EpisodeRecord, Record
+from thinkgrasp.benchmark.suites import Case
+from thinkgrasp.benchmark.trial import run_trial
+from thinkgrasp.sim.options import CameraOptions, parse_size
 from thinkgrasp.sim.tasks import STEP_LIMIT, task_for
 from thinkgrasp.sim.urdf import load_objects
 
 TARGET = 0.80
 """Least share of successes that is aimed for."""
-SUITE = "own objects"
 
 
 @dataclass(frozen=True)
@@ -39,8 +43,24 @@ class Settings:
 def ask_for(settings: Settings, wanted: tuple[str, int]) -> EpisodeRecord:
     """Run the episode of a name and a seed."""
     name, seed = wanted
-    scene = task_for(f"the {name}", seed, load_objects(settings.folder))
-    return run_scene(scene, STEP_LIMIT["clutter"], Job(name, seed, settings.preset, settings.size), SUITE)
+    own = load_objects(settings.folder)
+    case = Case(name, f"the {name}", STEP_LIMIT["clutter"], partial(task_for, f"the {name}", own=own))
+    records: list[Record] = []
+    camera = CameraOptions(size_wh=settings.size)
+    run_trial(parse_method(settings.preset), case, case.scene(seed), seed, camera, records.append)
+    return next(record for record in records if isinstance(record, EpisodeRecord))
+
+
+def report(records: Sequence[EpisodeRecord]) -> str:
+    """Return a table in Markdown, one row per object."""
+    lines = ["| object | success (95 %) | grasps | ends |", "|---|---|---|---|"]
+    for name in (*dict.fromkeys(record.task for record in records), "all"):
+        of_name = [record for record in records if name in (record.task, "all")]
+        lines.append(
+            f"| {name} | {rate(sum(record.success for record in of_name), len(of_name))} "
+            f"| {np.mean([record.steps for record in of_name]):.2f} | {counted(record.end for record in of_name)} |"
+        )
+    return "\n".join(lines)
 
 
 def main(
@@ -55,13 +75,13 @@ def main(
     Args:
         folder: Holds the objects' folders.
         seeds: Piles per object.
-        preset: Pipeline.
+        preset: Method, as for `thinkgrasp bench run`.
         size: Of the camera's image.
         workers: Processes.
     """
     wanted = [(obj.name, seed) for obj in load_objects(folder) for seed in range(seeds)]
     records: list[EpisodeRecord] = []
-    for record in run_all(partial(ask_for, Settings(folder, preset, size_wh(size))), wanted, workers):
+    for record in run_all(partial(ask_for, Settings(folder, preset, parse_size(size))), wanted, workers):
         records.append(record)
         print(f"{record.task} seed {record.seed}: {record.end} after {record.steps}", file=sys.stderr, flush=True)
     print(report(sorted(records, key=lambda r: wanted.index((r.task, r.seed)))))

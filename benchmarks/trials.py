@@ -1,4 +1,4 @@
-"""Many independent trials on a few processes, and what may be said of k successes in n."""
+"""Many independent trials on a few processes, kept as they come, and what may be said of k successes in n."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from typing import TypeVar
+from pathlib import Path
+from typing import Generic, TypeVar
 
-from scipy.stats import binomtest
+from pydantic import TypeAdapter
+
+from thinkgrasp.benchmark.statistics import wilson
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -43,12 +46,35 @@ def _end_with_parent() -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
-def wilson(k: int, n: int) -> tuple[float, float]:
-    """Return the 95 % interval of a rate of which k of n trials were seen to succeed (Wilson's score interval)."""
-    if n == 0:
-        return 0.0, 1.0
-    interval = binomtest(k, n).proportion_ci(method="wilson")
-    return float(interval.low), float(interval.high)
+class TrialLog(Generic[Result]):
+    """A file of records that survives the end of the process at any moment; a torn last line is cut off.
+
+    Args:
+        path: Appended to when it exists; None = nothing is written.
+        kind: The records' class.
+    """
+
+    def __init__(self, path: Path | None, kind: type[Result]) -> None:
+        self._path = path
+        self._adapter = TypeAdapter(kind)
+        self.records: list[Result] = []
+        if path is None or not path.exists():
+            return
+        content = path.read_bytes()
+        whole = content[: content.rfind(b"\n") + 1]
+        if len(whole) < len(content):
+            os.truncate(path, len(whole))
+        self.records = [self._adapter.validate_json(line) for line in whole.splitlines()]
+
+    def add(self, record: Result) -> None:
+        """Append a record and wait until it is on the disk."""
+        self.records.append(record)
+        if self._path is None:
+            return
+        with self._path.open("ab") as file:
+            file.write(self._adapter.dump_json(record) + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
 
 
 def rate(k: int, n: int) -> str:

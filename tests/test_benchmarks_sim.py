@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -24,96 +23,18 @@ def bench(monkeypatch: pytest.MonkeyPatch):
     return importlib.import_module
 
 
-def look(records: ModuleType, **changes: object):
-    return replace(records.Look("grasp", "pear", "goal", "pear", True, True, 300.0), **changes)
-
-
-def tried(records: ModuleType, reason: str = "slipped", **changes: object):
-    return replace(records.Tried(look(records), reason, "", "", False, False, (), 1.0), **changes)
-
-
-def episode(records: ModuleType, **changes: object):
-    record = records.EpisodeRecord(
-        records.SCHEMA, "clutter", "clutter-09-pear", 0, "offline", (224, 224), "give me the pear",
-        ("pear",), (1.0,), 10, False, "step_limit", 1, (tried(records),), None, (), 0, 5.0,
-    )  # fmt: skip
-    return replace(record, **changes)
-
-
-def test_an_interval_holds_the_rate_and_stays_within_0_and_1(bench) -> None:
-    trials = bench("trials")
-    low, high = trials.wilson(87, 100)  # 0.7902, 0.9224 by the closed formula
-    assert (low, high) == pytest.approx((0.7902, 0.9224), abs=1e-4)
-    assert 0.9999 < trials.wilson(10, 10)[1] <= 1.0
-    assert trials.wilson(0, 10)[0] == pytest.approx(0.0, abs=1e-12)
-    assert trials.wilson(0, 0) == (0.0, 1.0)
-
-
-def test_failures_are_told_apart_by_the_truth(bench) -> None:
-    records = bench("episode_records")
-    elsewhere = look(records, aimed="lemon", is_goal_aimed=False)
-    unseen = replace(elsewhere, role="obstruction", is_goal_in_view=False)
-    cases = {
-        "grasps at a goal failed": episode(records, attempts=(tried(records), tried(records, "collision"))),
-        "a goal was in view, but not recognised": episode(records, attempts=(tried(records, "held", look=elsewhere),)),
-        "no goal was ever in view": episode(records, attempts=(tried(records, "held", look=unseen),)),
-        "no grasp on a goal survived the checks": episode(
-            records, attempts=(), unanswered=look(records, status="no_grasp")
-        ),
-        "every goal left the table": episode(
-            records, attempts=(tried(records, "collision", look=elsewhere, moved_out=("pear",)),), goals_lost=1
-        ),
-        "no episode": episode(records, end="crashed", attempts=(), error="ValueError: x"),
-    }
-    for kind, record in cases.items():
-        assert records.why_failed(record)[0] == kind
-    assert records.why_failed(cases["grasps at a goal failed"])[1] == "collision 1, slipped 1"
-    assert records.why_failed(cases["every goal left the table"])[1] == "collision at lemon 1"
-    assert "taken for it: lemon 1" in records.why_failed(cases["a goal was in view, but not recognised"])[1]
-
-
 def test_a_torn_line_is_cut_off_and_the_file_goes_on(bench, tmp_path: Path) -> None:
-    records = bench("episode_records")
-    path = tmp_path / "episodes.jsonl"
-    log = records.RecordLog(path, records.EpisodeRecord)
-    log.add(episode(records))
-    log.add(episode(records, seed=1))
+    trials, kind = bench("trials"), tuple[str, int]
+    path = tmp_path / "trials.jsonl"
+    log = trials.TrialLog(path, kind)
+    log.add(("pear", 0))
+    log.add(("pear", 1))
     whole = path.read_bytes()
-    path.write_bytes(whole[:-20])
-    again = records.RecordLog(path, records.EpisodeRecord)
-    assert again.records == [episode(records)]
-    again.add(episode(records, seed=1))
+    path.write_bytes(whole[:-5])
+    again = trials.TrialLog(path, kind)
+    assert again.records == [("pear", 0)]
+    again.add(("pear", 1))
     assert path.read_bytes() == whole
-
-
-def test_episodes_are_recorded_reported_and_not_run_twice(
-    bench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    episodes = bench("episodes")
-    out = tmp_path / "episodes.jsonl"
-
-    def run() -> str:
-        episodes.main(tasks=("pear",), seeds=1, workers=2, size="224x224", out=out)
-        return capsys.readouterr().out
-
-    first = run()
-    episode_records = bench("episode_records")
-    records = episode_records.RecordLog(out, episode_records.EpisodeRecord).records
-    assert {(r.task, r.preset) for r in records} == {("clutter-09-pear", "oracle"), ("clutter-09-pear", "offline")}
-    for r in records:
-        assert not r.error
-        assert r.goals == ("pear",)
-        assert r.steps == len(r.attempts) >= 1
-        assert r.success == any(t.is_goal_delivered for t in r.attempts)
-        assert all(t.look.is_goal_aimed for t in r.attempts if r.preset == "oracle" and t.look.role == "goal")
-        here = episodes.run_job(episodes.Job(r.task, r.seed, r.preset, r.size))
-        assert [(t.reason, t.look.aimed) for t in here.attempts] == [(t.reason, t.look.aimed) for t in r.attempts]
-    assert "## clutter, oracle" in first
-    assert "## clutter, offline" in first
-    assert "target 85 %" in first
-
-    monkeypatch.setattr(episodes, "run_job", None)
-    assert run() == first
 
 
 def test_grasping_prints_a_row_per_object(bench, capsys: pytest.CaptureFixture[str]) -> None:
@@ -129,9 +50,10 @@ def test_an_episode_is_asked_for_by_the_name_of_an_own_object(bench) -> None:
         pytest.skip(f"{YCB} is not there")
     own = bench("own_objects")
     record = own.ask_for(own.Settings(YCB, "offline", (224, 224)), ("banana", 0))
-    assert record.instruction == "the banana"
-    assert record.goals == ("banana",)
-    assert record.n_objects == 11
+    assert (record.task, record.end) == ("banana", "goal_delivered")
+    report = own.report([record, replace(record, seed=1, success=False, end="step_limit", steps=15)]).splitlines()
+    assert report[2].startswith("| banana | 1/2 = 50.0 %")
+    assert report[3].endswith("| goal_delivered 1, step_limit 1 |")
 
 
 def test_the_parts_of_an_attempt_add_up_to_it(bench) -> None:

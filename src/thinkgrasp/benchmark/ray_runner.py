@@ -34,7 +34,6 @@ def ray_workers(address: str) -> Source:
     try:
         ray.init(
             address=address, runtime_env=environment, log_to_driver=False, configure_logging=False,
-            ignore_reinit_error=True,
         )  # fmt: skip
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise ConfigError(f"the Ray cluster {address!r} cannot be reached: {error}") from error
@@ -56,7 +55,7 @@ def ray_workers(address: str) -> Source:
                 except StopIteration:
                     continue
                 except ray.exceptions.RayError as error:
-                    yield Died(group, f"its worker was lost: {type(error).__name__}")
+                    yield Died(group, f"its worker was lost: {str(error).strip().splitlines()[-1]}")
                     continue
                 if isinstance(record, SceneRecord):
                     group = replace(group, needs_scene=False)
@@ -67,6 +66,7 @@ def ray_workers(address: str) -> Source:
         finally:
             for left in running:
                 ray.cancel(left, force=True)
+            ray.shutdown()
 
     return run
 
@@ -82,4 +82,5 @@ def _records(plan: BenchmarkPlan, group: Group) -> Iterator[Record]:
             said.put(None)
 
     threading.Thread(target=work, daemon=True).start()
-    yield from iter(said.get, None)
+    while (record := said.get()) is not None:
+        yield record
