@@ -24,7 +24,7 @@ _BEYOND_BOX = 0.25
 """A thing may reach this far, and this share of a side, beyond the box that one view gave it."""
 _MAX_DENT = 0.3
 """Where normals lean towards one another by more, two things meet."""
-_LIKE_NEXT, _LIKE_THING = 0.3, 0.2
+_LIKE_NEXT, _LIKE_THING = 0.3, 0.3
 """How much the colour may change from one point to the next, and the hue differ from the thing's own (logarithms)."""
 
 
@@ -35,7 +35,7 @@ class _Front:
     points: Float
     normals: Float
     colors: Float
-    """(N, 3) lightness and two ratios."""
+    """(N, 3) lightness and two ratios, see `_compared`."""
     marks: NDArray[np.int32]
 
     def __getitem__(self, index: NDArray[np.intp]) -> _Front:
@@ -126,9 +126,9 @@ def _seeds(scene: Scene) -> _Front:
 
 
 def _compared(colors: NDArray[np.uint8]) -> Float:
-    """Lightness and the ratios of red and blue to green (N, 3) of RGB (N, 3), as logarithms."""
-    log = np.log(colors.astype(np.float32) + 20)
-    return np.stack([log.mean(axis=1), log[:, 0] - log[:, 1], log[:, 2] - log[:, 1]], axis=1)
+    """Lightness, which shade changes and so counts less, and the ratios of red and blue to green (N, 3), as logarithms."""
+    log = np.log(colors.astype(np.float32) + 8)
+    return np.stack([0.4 * log.mean(axis=1), log[:, 0] - log[:, 1], log[:, 2] - log[:, 1]], axis=1)
 
 
 def _inside_box(proposal: Proposal, points: Float) -> NDArray[np.bool_]:
