@@ -136,7 +136,7 @@ def test_grasps_are_proposed_between_front_and_back():
 
 
 def test_one_view_is_what_it_was():
-    """Without other views every generator's input is untouched: the same grasps, bit for bit, as from the frame alone."""
+    """A frame that is not fused gives the same grasps every time, and owns nothing more."""
     front = frames()[0]
     perceived = GeometricPerception().perceive(front)
     box = thing(perceived, "red").mask

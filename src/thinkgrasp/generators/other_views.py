@@ -80,7 +80,7 @@ def _grown(scene: Scene) -> NDArray[np.int32]:
         free &= scene.support.height(others.points) > _LOWEST_M
     everything = _Front(others.points, np.nan_to_num(others.normals), _compared(others.colors), marks)
     front = _seeds(scene)
-    hues = {mark: np.median(front.colors[front.marks == mark, 1:], axis=0) for mark in np.unique(front.marks)}
+    hues = {mark: front.colors[front.marks == mark][0, 1:] for mark in np.unique(front.marks)}
     while len(front.points) and free.any():
         left = np.flatnonzero(free)
         distance, nearest = KDTree(front.points).query(others.points[left], distance_upper_bound=_STEP_M)
@@ -110,7 +110,7 @@ def _goes_on(came: _Front, to: _Front) -> NDArray[np.bool_]:
 
 
 def _seeds(scene: Scene) -> _Front:
-    """What the first camera saw of every proposal, thinned."""
+    """What the first camera saw of every proposal, thinned, in its median colour: outlines mix."""
     measured = np.isfinite(scene.points[..., 2])
     normals = np.zeros_like(scene.points) if scene.normals is None else np.nan_to_num(scene.normals)
     nothing = np.zeros((0, 3), np.float32)
@@ -120,13 +120,15 @@ def _seeds(scene: Scene) -> _Front:
         chosen = voxel_downsample(scene.points[v, u], _SEED_M)
         v, u = v[chosen], u[chosen]
         marks = np.full(len(v), p.mark, np.int32)
-        parts.append(_Front(scene.points[v, u], normals[v, u], _compared(scene.frame.color[v, u]), marks))
+        colors = _compared(scene.frame.color[v, u])
+        colors[:] = np.median(colors, axis=0) if len(v) else 0
+        parts.append(_Front(scene.points[v, u], normals[v, u], colors, marks))
     names = ("points", "normals", "colors", "marks")
     return _Front(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def _compared(colors: NDArray[np.uint8]) -> Float:
-    """Lightness, which shade changes and so counts less, and the ratios of red and blue to green (N, 3), as logarithms."""
+    """Lightness, which shade changes and so counts less, and the ratios of red and blue to green (N, 3): logs."""
     log = np.log(colors.astype(np.float32) + 8)
     return np.stack([0.4 * log.mean(axis=1), log[:, 0] - log[:, 1], log[:, 2] - log[:, 1]], axis=1)
 
