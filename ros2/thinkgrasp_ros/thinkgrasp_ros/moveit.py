@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thinkgrasp.errors import ConfigError, InputError
-from thinkgrasp.geometry import invert, quat_wxyz, voxel_downsample
+from thinkgrasp.geometry import invert, quat_wxyz
 from thinkgrasp_ros.interface import Message, Messages, RobotFault, Transform
 from thinkgrasp_ros.parameters import Parameters
 
@@ -178,8 +178,7 @@ def obstacle_cubes(
     points = np.asarray(cloud, np.float64)
     for centre in keep_clear:
         points = points[np.linalg.norm(points - centre, axis=1) > parameters.clear_m]
-    cubes = (np.floor(points / side) + 0.5) * side
-    cubes = cubes[voxel_downsample(cubes + 1e-9, side)]
+    cubes = (np.unique(np.floor(points / side), axis=0) + 0.5) * side
     if len(cubes) > parameters.max_obstacles:
         distance = np.linalg.norm(cubes - keep_clear[0], axis=1) if len(keep_clear) else np.zeros(len(cubes))
         cubes = cubes[np.sort(np.argsort(distance, kind="stable")[: parameters.max_obstacles])]

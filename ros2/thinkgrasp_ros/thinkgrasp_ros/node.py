@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import Any
 
 import rclpy
+import rclpy.logging
 from control_msgs.action import GripperCommand
 from message_filters import ApproximateTimeSynchronizer, Subscriber
 from moveit_msgs.action import MoveGroup
@@ -130,7 +131,7 @@ class RosGripper(_Client):
         super().__init__(node, GripperCommand, parameters.gripper_action, parameters.gripper_timeout_s, "gripper")
 
     def command(self, goal: Message, cancelled: Callable[[], bool]) -> GripperState:
-        """Carry out a goal, as `GripperClient.command`; a controller that aborts because it stalled has done its work."""
+        """Carry out a goal, as `GripperClient.command`; one that aborts because it stalled has done its work."""
         found = self.send(goal, cancelled)
         result = found.result
         stalled = bool(result.stalled)
@@ -213,7 +214,7 @@ class ThinkGraspNode(Node):
 
 
 def _wait(future: Any, timeout_s: float, cancelled: Callable[[], bool]) -> Any:
-    """The future's result; None where it was cancelled first, or took longer. The executor's other threads fulfil it."""
+    """The future's result, which other threads bring about; None where it was cancelled first, or took longer."""
     done = threading.Event()
     future.add_done_callback(lambda _: done.set())
     left = timeout_s

@@ -19,7 +19,7 @@ from thinkgrasp_ros.interface import (
     RobotFault,
     Transform,
 )
-from thinkgrasp_ros.moveit import gripper_goal, joint_goal, obstacle_cubes, outcome_of, pose_goal
+from thinkgrasp_ros.moveit import SUCCESS, gripper_goal, joint_goal, obstacle_cubes, outcome_of, pose_goal
 from thinkgrasp_ros.parameters import Parameters
 
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -104,10 +104,7 @@ class MoveItRobot:
     def _to_pregrasp(self, T_world_tcp: Transform, obstacles: NDArray[np.float64] | None) -> Transform:
         """Move to the pre-grasp by RRT*; return the grasp as it is reached: as it is, or turned by half a turn."""
         for T in (T_world_tcp, T_world_tcp @ _HALF_TURN):
-            code = self._motions.move(
-                self._pose(_backed(T, self._parameters.standoff_m), obstacles=obstacles), self.cancelled
-            )
-            reason = outcome_of(code)
+            reason = self._reason(self._pose(_backed(T, self._parameters.standoff_m), obstacles=obstacles))
             if reason is None:
                 return T
             if reason != "unreachable":
@@ -128,9 +125,16 @@ class MoveItRobot:
     def _home(self) -> None:
         self._surely(self._joints(self._parameters.home_joints, None), "go home")
 
+    def _reason(self, goal: Message) -> str | None:
+        """Move, and return why that did not come about; None where it did."""
+        if self.cancelled():
+            return "preempted"
+        code = self._motions.move(goal, self.cancelled)
+        return "preempted" if code != SUCCESS and self.cancelled() else outcome_of(code)
+
     def _surely(self, goal: Message, what: str) -> None:
         """Move; where that fails, somebody has to look, for the arm stands in the way."""
-        reason = outcome_of(self._motions.move(goal, self.cancelled))
+        reason = self._reason(goal)
         if reason == "preempted":
             raise _Ended(reason)
         if reason is not None:
@@ -138,7 +142,7 @@ class MoveItRobot:
 
     def _move(self, goal: Message, *, or_else: Callable[[], None]) -> None:
         """Move; where that fails and nobody cancelled, do something else before the attempt ends."""
-        reason = outcome_of(self._motions.move(goal, self.cancelled))
+        reason = self._reason(goal)
         if reason is None:
             return
         if reason != "preempted":
