@@ -26,10 +26,11 @@ from thinkgrasp.fusion import fuse
 from thinkgrasp.geometry import apply, deproject, invert
 from thinkgrasp.memory import Memory
 from thinkgrasp.pipeline import Pipeline
+from thinkgrasp.sim.options import CameraOptions
 from thinkgrasp.sim.tasks import TASKS
 from thinkgrasp.sim.truth import true_labels
 from thinkgrasp.sim.views import CameraView, camera, look_at
-from thinkgrasp.testbed import CameraOptions, Session
+from thinkgrasp.testbed import Session
 from thinkgrasp.types import Frame, Grasp, Grasps, Plan, Scene, Segment, Segmentation
 
 How = Literal["first", "fused", "other"]
@@ -98,7 +99,7 @@ class Truth:
                 good = np.isfinite(seen).all(axis=-1) & (np.abs(seen[..., :2] - [0.5, 0]) < 0.4).all(axis=-1)
                 points.append(seen[good])
                 things.append(true_labels(session.world, view)[good])
-        return cls(np.concatenate(points), np.concatenate(things))
+        return cls(np.concatenate(points).astype(np.float64), np.concatenate(things))
 
     def is_real(self, grasp: Grasp, frame: Frame, thing: int, pipeline: Pipeline) -> bool:
         """Whether a grasp meets nothing and has the thing between its fingers."""
@@ -191,11 +192,12 @@ def main(seeds: int = 1, first_seed: int = 0, camera_model: Literal["l515", "d45
             truth = Truth.of(session)
             first, other = (camera.read() for camera in session.cameras)
             pile = f"{task.name}/{seed}"
-            for how, frame, view in (
-                ("first", first, session.views[0]),
-                ("fused", fuse([first, other]), session.views[0]),
-                ("other", other, session.views[1]),
-            ):
+            views: dict[How, tuple[Frame, CameraView]] = {
+                "first": (first, session.views[0]),
+                "fused": (fuse([first, other]), session.views[0]),
+                "other": (other, session.views[1]),
+            }
+            for how, (frame, view) in views.items():
                 answers += look(session, pile, how, frame, view, truth)
             print(f"{pile} done; so far:\n{report(answers)}", file=sys.stderr, flush=True)
     print(report(answers))

@@ -73,7 +73,7 @@ class TopicCamera:
         world = apply(frame.T_world_camera, deproject(frame.depth, frame.camera))  # type: ignore[arg-type]
         low, high = np.array(self._parameters.workspace, np.float32).reshape(2, 3)
         with np.errstate(invalid="ignore"):
-            inside = ((world > low) & (world < high)).all(axis=-1)
+            inside = np.asarray(((world > low) & (world < high)).all(axis=-1), np.bool_)
         return Frame(frame.color, frame.depth, frame.camera, frame.T_world_camera, inside)
 
     def _checked(self, color: Message, depth: Message, info: Message) -> _Set:

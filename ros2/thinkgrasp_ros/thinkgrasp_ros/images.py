@@ -43,7 +43,7 @@ def color_image(message: Message) -> NDArray[np.uint8]:
             "driver or with image_proc"
         )
     pixels = _pixels(message, "u1", _WIDTH_OF[message.encoding], "colour")
-    return np.ascontiguousarray(pixels[..., channels])
+    return np.ascontiguousarray(pixels[..., channels], np.uint8)
 
 
 def depth_image(message: Message) -> NDArray[np.float32]:
