@@ -44,7 +44,7 @@ class Job:
     seed: int
     preset: str
     size: tuple[int, int]
-    fusion: Fusion = "first"
+    fusion: Fusion = "last"
     """When the views of both cameras are fused; not part of the record."""
 
     @property
@@ -204,7 +204,7 @@ def main(
     tasks: tuple[str, ...] = (),
     workers: int = 2,
     size: str = "640x480",
-    fusion: Fusion = "first",
+    fusion: Fusion = "last",
     out: Path | None = None,
 ) -> None:
     """Run the episodes and print the report.

@@ -190,6 +190,25 @@ def test_all_views_are_fused_where_one_shows_no_grasp(fusion: Fusion, asked: lis
     assert cameras[1].reads == 1
 
 
+def test_a_thing_without_a_grasp_on_any_view_alone_is_asked_for_once_more_on_all() -> None:
+    """What one view after the other had to give up is not given up by the fused one before it was tried."""
+    table = FakeTable()
+    pipeline = fake_pipeline(planner=PatientPlanner(), checks={"several": OnlyOnSeveralViews()})
+    episode = run_episode(two_cameras(table), pipeline, FakeRobot(table), "the red block")
+    assert [s.decision.plan.target for s in episode.steps] == ["red"]
+    assert episode.success
+
+
+@pytest.mark.parametrize("fusion", ["first", "last"])
+def test_what_the_first_view_does_not_show_is_not_asked_for_on_the_fused_one(fusion: Fusion) -> None:
+    planner = SpendingPlanner()
+    planner.asked = -9
+    table = FakeTable()
+    pipeline = fake_pipeline(planner=planner)
+    episode = run_episode(two_cameras(table), pipeline, FakeRobot(table), "the green block", fusion=fusion)
+    assert (episode.end, planner.asked) == ("nothing_left", -9 + 2)
+
+
 def test_without_fusion_the_other_views_are_looked_at_alone() -> None:
     table, check = FakeTable(), OnlyOnSeveralViews()
     pipeline = fake_pipeline(checks={"several": check})

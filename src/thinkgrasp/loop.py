@@ -81,7 +81,7 @@ def run_episode(
     referee: Referee | None = None,
     recorders: Iterable[Recorder] = (),
     stop: Callable[[], bool] = lambda: False,
-    fusion: Fusion = "first",
+    fusion: Fusion = "last",
 ) -> Episode:
     """Clear the way to the goal and deliver it.
 
@@ -183,8 +183,10 @@ def _decide(
         if decision.grasp is not None or decision.plan.out_of_budget:
             return decision, memory
         if decision is first or decision.status == "no_grasp":
-            for look in _looks(frame, cameras, fusion):
-                other = decide(look, memory)
+            untried = memory
+            # What the first view does not show is not planned for on the fused one either: the image is the same.
+            for look in _looks(frame, cameras, fusion if decision.status == "no_grasp" else "never"):
+                other = decide(look, memory if look.others is None else untried)
                 if fusion != "never" and look.T_world_camera is None:
                     other = replace(other, degraded=(*other.degraded, _NOT_FUSED))
                 if other.grasp is not None or other.plan.out_of_budget:

@@ -105,7 +105,7 @@ class Session:
         instruction: str | None = None,
         recorders: Iterable[Recorder] = (),
         stop: Callable[[], bool] = lambda: False,
-        fusion: loop.Fusion = "first",
+        fusion: loop.Fusion = "last",
     ) -> SimulatedEpisode:
         """Run the loop until a goal is in the bin, or it ends otherwise."""
         before = len(self.robot.attempts)

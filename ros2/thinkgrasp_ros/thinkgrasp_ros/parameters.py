@@ -56,7 +56,7 @@ class Parameters:
     settings: Sequence[str] = ()
     """Of the stages, as KEY=VALUE."""
     gripper: str = "robotiq_2f85"
-    fusion: str = "first"
+    fusion: str = "last"
     step_limit: int = 15
     workspace: Sequence[float] = ()
     """Lowest and highest corner (x, y, z, x, y, z) of where grasping is allowed, world [m]; empty = everywhere."""
