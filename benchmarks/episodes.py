@@ -25,7 +25,7 @@ from episode_report import report
 from trials import run_all
 
 from thinkgrasp.errors import ConfigError, ThinkGraspError
-from thinkgrasp.loop import Fusion, Step
+from thinkgrasp.loop import Step
 from thinkgrasp.sim.scenes import PiledScene
 from thinkgrasp.sim.tasks import TASKS, Task, find_task
 from thinkgrasp.sim.truth import true_labels
@@ -44,8 +44,6 @@ class Job:
     seed: int
     preset: str
     size: tuple[int, int]
-    fusion: Fusion = "last"
-    """When the views of both cameras are fused; not part of the record."""
 
     @property
     def key(self) -> tuple[str, int, str, tuple[int, int]]:
@@ -112,7 +110,7 @@ def run_scene(scene: PiledScene, step_limit: int, job: Job, suite: str) -> Episo
     session = Session(scene, CameraOptions(size_wh=job.size), seed=job.seed)
     observer = Observer(session)
     run = session.run(
-        session.pipeline(job.preset), step_limit=step_limit, recorders=[observer], stop=observer.look, fusion=job.fusion
+        session.pipeline(job.preset), step_limit=step_limit, recorders=[observer], stop=observer.look
     )  # fmt: skip
     world, episode = session.world, run.episode
     executed = [(look, step) for look, step in zip(observer.looks, episode.steps, strict=True) if step.outcome]
@@ -204,7 +202,6 @@ def main(
     tasks: tuple[str, ...] = (),
     workers: int = 2,
     size: str = "640x480",
-    fusion: Fusion = "last",
     out: Path | None = None,
 ) -> None:
     """Run the episodes and print the report.
@@ -217,12 +214,11 @@ def main(
         tasks: Names of tasks, or endings of them.
         workers: Processes.
         size: Of the camera's image.
-        fusion: When the views of both cameras are fused; it is not in the records, so give each its own --out.
         out: JSON lines, one per finished episode.
     """
     chosen = [find_task(name) for name in tasks] or [t for t in TASKS if suite in ("all", t.suite)]
     jobs = [
-        Job(task.name, seed, name, size_wh(size), fusion)
+        Job(task.name, seed, name, size_wh(size))
         for name in preset
         for task in chosen
         for seed in range(first_seed, first_seed + seeds)
