@@ -14,7 +14,7 @@ ORDER = [
     ["weights"],
     ["types"],
     ["geometry", "gripper", "outputs"],
-    ["contacts"],
+    ["contacts", "fusion"],
     ["closure"],
     ["memory"],
     ["motion"],

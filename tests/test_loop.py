@@ -10,9 +10,9 @@ from fakes.stages import FakeCheck, FakePlanner, fake_pipeline
 from fakes.table_loop import POSE, FakeCamera, FakeRecorder, FakeRobot, FakeTable
 
 from thinkgrasp.errors import ConfigError, InputError
-from thinkgrasp.loop import END_WORDS, End, run_episode
+from thinkgrasp.loop import END_WORDS, End, Fusion, run_episode
 from thinkgrasp.memory import Memory
-from thinkgrasp.types import Grasps, Plan, Scene, Usage
+from thinkgrasp.types import Frame, Grasps, Plan, Scene, Usage
 
 
 class PatientPlanner(FakePlanner):
@@ -154,6 +154,104 @@ def test_the_second_camera_is_asked_where_the_first_shows_no_grasp() -> None:
     assert cameras[1].reads == 1
 
 
+class OnlyOnSeveralViews:
+    """Keeps grasps on a fused frame alone, or on a view from aside alone."""
+
+    def __init__(self, *, aside: bool = False) -> None:
+        self.aside, self.asked = aside, list[str]()
+
+    def keep(self, scene, target, grasps: Grasps, gripper) -> np.ndarray:
+        is_fused, is_aside = scene.frame.others is not None, scene.frame.T_world_camera[0, 3] > 0
+        self.asked.append("fused" if is_fused else "aside" if is_aside else "first")
+        return np.full(len(grasps), is_aside if self.aside else is_fused)
+
+
+def two_cameras(table: FakeTable) -> list[FakeCamera]:
+    aside = POSE.copy()
+    aside[0, 3] = 0.05
+    return [FakeCamera(table), FakeCamera(table, aside)]
+
+
+@pytest.mark.parametrize(
+    ("fusion", "asked"),
+    [("first", ["first", "fused"]), ("last", ["first", "aside", "fused"]), ("always", ["fused"])],
+)
+def test_all_views_are_fused_where_one_shows_no_grasp(fusion: Fusion, asked: list[str]) -> None:
+    table, check = FakeTable(), OnlyOnSeveralViews()
+    cameras = two_cameras(table)
+    pipeline = fake_pipeline(checks={"several": check})
+    episode = run_episode(cameras, pipeline, FakeRobot(table), "the red block", fusion=fusion)
+    assert episode.success
+    assert list(dict.fromkeys(check.asked)) == asked
+    frame = episode.steps[0].decision.scene.frame
+    assert frame.others is not None
+    assert frame.T_world_camera is not None
+    assert frame.T_world_camera[0, 3] == 0
+    assert cameras[1].reads == 1
+
+
+def test_a_thing_without_a_grasp_on_any_view_alone_is_asked_for_once_more_on_all() -> None:
+    """What one view after the other had to give up is not given up by the fused one before it was tried."""
+    table = FakeTable()
+    pipeline = fake_pipeline(planner=PatientPlanner(), checks={"several": OnlyOnSeveralViews()})
+    episode = run_episode(two_cameras(table), pipeline, FakeRobot(table), "the red block")
+    assert [s.decision.plan.target for s in episode.steps] == ["red"]
+    assert episode.success
+
+
+@pytest.mark.parametrize("fusion", ["first", "last"])
+def test_what_the_first_view_does_not_show_is_not_asked_for_on_the_fused_one(fusion: Fusion) -> None:
+    planner = SpendingPlanner()
+    planner.asked = -9
+    table = FakeTable()
+    pipeline = fake_pipeline(planner=planner)
+    episode = run_episode(two_cameras(table), pipeline, FakeRobot(table), "the green block", fusion=fusion)
+    assert (episode.end, planner.asked) == ("nothing_left", -9 + 2)
+
+
+def test_without_fusion_the_other_views_are_looked_at_alone() -> None:
+    table, check = FakeTable(), OnlyOnSeveralViews()
+    pipeline = fake_pipeline(checks={"several": check})
+    episode = run_episode(two_cameras(table), pipeline, FakeRobot(table), "the red block", fusion="never")
+    assert (episode.end, set(check.asked)) == ("no_grasp", {"first", "aside"})
+
+
+@pytest.mark.parametrize("fusion", ["first", "last"])
+def test_where_fused_views_show_no_grasp_another_view_alone_may(fusion: Fusion) -> None:
+    table, check = FakeTable(), OnlyOnSeveralViews(aside=True)
+    pipeline = fake_pipeline(checks={"aside": check})
+    episode = run_episode(two_cameras(table), pipeline, FakeRobot(table), "the red block", fusion=fusion)
+    assert episode.success
+    assert episode.steps[0].decision.scene.frame.others is None
+
+
+def test_what_is_removed_by_a_fused_view_is_verified_in_the_first() -> None:
+    table = FakeTable()
+    pipeline = fake_pipeline(checks={"several": OnlyOnSeveralViews()})
+    episode = run_episode(two_cameras(table), pipeline, FakeRobot(table, ["lies"]), "the red block")
+    assert [s.outcome.reason for s in episode.steps] == ["still_there", "held"]  # type: ignore[union-attr]
+
+
+def test_cameras_without_poses_are_not_fused_and_that_is_said() -> None:
+    class Nowhere(FakeCamera):
+        def read(self) -> Frame:
+            return replace(super().read(), T_world_camera=None)
+
+    class AsideOnly:
+        calls = 0
+
+        def keep(self, scene, target, grasps: Grasps, gripper) -> np.ndarray:
+            self.calls += 1
+            return np.full(len(grasps), self.calls > 2)  # twice on the first: its two segments' turn and the report's
+
+    table = FakeTable()
+    pipeline = fake_pipeline(checks={"aside": AsideOnly()})
+    episode = run_episode([Nowhere(table), Nowhere(table)], pipeline, FakeRobot(table), "the red block")
+    decision = episode.steps[0].decision
+    assert decision.grasp is not None
+    assert [(d.stage, d.fallback) for d in decision.degraded] == [("fusion", "each view was looked at alone")]
+
+
 def test_every_step_is_recorded_when_it_is_finished() -> None:
     recorder = FakeRecorder()
     episode, _ = run(FakeTable(), script=["missed"], recorders=[recorder])
@@ -167,5 +265,7 @@ def test_bad_input() -> None:
         run(table, step_limit=0)
     with pytest.raises(ConfigError, match="a camera"):
         run_episode([], fake_pipeline(), FakeRobot(table), "the red block")
+    with pytest.raises(ConfigError, match="no fusion 'sometimes'; allowed: never, first, last, always"):
+        run(table, fusion="sometimes")
     with pytest.raises(InputError, match="empty"):
         run(table, " ")

@@ -28,6 +28,7 @@ from thinkgrasp.episode import (
     read_episode,
 )
 from thinkgrasp.errors import InputError
+from thinkgrasp.fusion import fuse
 from thinkgrasp.gripper import GRIPPERS
 from thinkgrasp.recorder import EpisodeRecorder
 from thinkgrasp.schema import decision_to_schema, mask_from_png
@@ -300,3 +301,20 @@ def test_no_frame_stays_in_memory(record, steps: list[Step]) -> None:
     del decision
     gc.collect()
     assert frame() is None
+
+
+def test_the_views_that_were_fused_are_kept(tmp_path: Path) -> None:
+    aside = np.diag([1.0, -1.0, -1.0, 1.0])
+    aside[0, 3] = 0.05
+    frames = [table_frame(T_world_camera=T) for T in (np.diag([1.0, -1.0, -1.0, 1.0]), aside)]
+    recorder = EpisodeRecorder(tmp_path, header=HEADER, gripper=GRIPPER)
+    recorder.record(fake_pipeline().decide(fuse(frames), "the blue block"), None)
+    (step,) = read_episode(tmp_path).steps
+    again = [
+        load_frame(folder / "color.png", folder / "depth.png", folder / "camera.json")
+        for folder in (step.folder, step.folder / "view2")
+    ]
+    for frame, kept in zip(frames, again, strict=True):
+        assert np.array_equal(frame.color, kept.color)
+        assert np.array_equal(frame.T_world_camera, kept.T_world_camera)  # type: ignore[arg-type]
+    assert fuse(again).others is not None

@@ -27,6 +27,7 @@ _HOME = {
     "Proposal": "types",
     "Scene": "types",
     "ThinkGraspError": "errors",
+    "fuse": "fusion",
     "load_frame": "cameras.files",
     "make_pipeline": "config",
 }
@@ -46,6 +47,7 @@ __all__ = [
     "Scene",
     "ThinkGraspError",
     "__version__",
+    "fuse",
     "load_frame",
     "make_pipeline",
 ]
@@ -54,6 +56,7 @@ if TYPE_CHECKING:
     from thinkgrasp.cameras.files import load_frame
     from thinkgrasp.config import make_pipeline
     from thinkgrasp.errors import InputError, ThinkGraspError
+    from thinkgrasp.fusion import fuse
     from thinkgrasp.gripper import Gripper
     from thinkgrasp.memory import Memory
     from thinkgrasp.pipeline import Pipeline

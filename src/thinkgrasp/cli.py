@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-from tyro.conf import Positional, arg, subcommand
+from tyro.conf import Positional, UseAppendAction, arg, subcommand
 
 from thinkgrasp import __version__
 from thinkgrasp.bench_command import BenchCommand
@@ -52,6 +52,8 @@ class GraspCommand:
     """Metres per unit of the depth image; overrides the camera file (default 0.001)."""
     workspace_mask: Annotated[Path | None, arg(metavar="PATH")] = None
     """Image of the same size; non-zero = grasping is allowed."""
+    also: Annotated[UseAppendAction[tuple[tuple[Path, Path, Path], ...]], arg(metavar="COLOR DEPTH CAMERA")] = ()
+    """Another view of the same scene, its camera file and the first with T_world_camera; may be repeated."""
     json: bool = False
     """Print the decision as JSON."""
     overlay: Annotated[Path | None, arg(metavar="PATH")] = None
@@ -62,7 +64,14 @@ class GraspCommand:
 
     def run(self) -> int:
         """Carry the command out and return the exit code."""
-        inputs = [p for p in (self.color, self.depth, self.camera, self.workspace_mask) if p is not None]
+        files = (
+            self.color,
+            self.depth,
+            self.camera,
+            self.workspace_mask,
+            *(path for view in self.also for path in view),
+        )
+        inputs = [p for p in files if p is not None]
         _check_outputs(self.overlay, self.view, inputs)
 
         from thinkgrasp.cameras.files import load_frame
@@ -73,6 +82,11 @@ class GraspCommand:
         frame = load_frame(
             self.color, self.depth, self.camera, depth_scale=self.depth_scale, workspace_mask=self.workspace_mask
         )
+        if self.also:
+            from thinkgrasp.fusion import describe, fuse
+
+            frame = fuse([frame, *(load_frame(*view, depth_scale=self.depth_scale) for view in self.also)])
+            _progress(describe(frame))
         pipeline = make_pipeline(config)
         decision = pipeline.decide(frame, self.instruction)
         _write_pictures(decision, pipeline.gripper, self.overlay, self.view)

@@ -8,6 +8,7 @@ FOLDER/
   episode.webp          the video, if one was made
   steps/001/
     color.png depth.png camera.json     the frame
+    view2/ view3/ ...                   the same of the views that were fused with it, where it was decided on several
     decision.json                       DecisionModel
     scene.json                          SceneModel: what perception saw
     outcome.json                        OutcomeModel, or null where nothing was executed

@@ -57,7 +57,7 @@ class Check(Protocol):
     """Entry-point group `thinkgrasp.check`."""
 
     def keep(self, scene: Scene, target: Segment, grasps: Grasps, gripper: Gripper) -> NDArray[np.bool_]:
-        """Return (N,) True for the grasps that pass. `scene.points` is the full cloud, not the crop."""
+        """Return (N,) True for the grasps that pass. `scene.cloud()` is all that was seen, not the crop."""
         ...
 
 

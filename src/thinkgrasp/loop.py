@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
 
 import numpy as np
 
 from thinkgrasp.errors import ConfigError
+from thinkgrasp.fusion import fuse
 from thinkgrasp.interfaces import Camera, Recorder, Robot
 from thinkgrasp.memory import Attempt, Memory
 from thinkgrasp.pipeline import Pipeline, check_instruction
-from thinkgrasp.types import Decision, Frame, Outcome, Usage
+from thinkgrasp.types import Decision, Degradation, Frame, Outcome, Usage
 
 End = Literal["goal_delivered", "step_limit", "nothing_left", "no_grasp", "budget_spent", "stopped"]
 END_WORDS: dict[End, str] = {
@@ -25,11 +26,16 @@ END_WORDS: dict[End, str] = {
     "stopped": "whoever watches stopped the episode",
 }
 
+Fusion = Literal["never", "first", "last", "always"]
+"""When the views of all cameras are fused in the first one's: never; where that one shows no grasp, before or after the
+others are looked through one by one; or for every decision."""
+
 Referee = Callable[[Decision, Outcome], bool]
 """Says after a successful attempt whether the goal was delivered: the person at the bin. Planning never sees it."""
 
 MAX_REPLANS = 6
 """So many things without a grasp are put aside in one step before the step gives up."""
+_NOT_FUSED = Degradation("fusion", "a camera's pose is unknown", "each view was looked at alone")
 STILL_THERE_SHARE = 0.6
 STILL_THERE_M = 0.004
 """A thing is still there where this share of its pixels has not moved by more than this."""
@@ -75,12 +81,13 @@ def run_episode(
     referee: Referee | None = None,
     recorders: Iterable[Recorder] = (),
     stop: Callable[[], bool] = lambda: False,
+    fusion: Fusion = "last",
 ) -> Episode:
     """Clear the way to the goal and deliver it.
 
     Args:
         cameras: The first one is looked through; the others only where it shows no grasp. Their poses must be known to
-            share what was remembered.
+            share what was remembered, and to be fused.
         pipeline: One frame and the instruction to one decision.
         robot: Executes a grasp and puts what it holds away.
         instruction: What a person said.
@@ -89,16 +96,19 @@ def run_episode(
             counts.
         recorders: Told every step when it is finished.
         stop: Asked before every step.
+        fusion: When the views of all cameras are fused.
 
     Returns:
         The steps and the named reason of the end.
 
     Raises:
-        ConfigError: No camera, or a step limit that is not positive.
+        ConfigError: No camera, a step limit that is not positive, or no such fusion.
         InputError: The instruction is empty or too long.
     """
     if not cameras or step_limit < 1:
         raise ConfigError(f"an episode needs a camera and at least one step, got {len(cameras)} and {step_limit}")
+    if fusion not in get_args(Fusion):
+        raise ConfigError(f"no fusion {fusion!r}; allowed: {', '.join(get_args(Fusion))}")
     instruction = check_instruction(instruction)
     recorders = tuple(recorders)
     memory = Memory()
@@ -119,7 +129,7 @@ def run_episode(
         if stop():
             return finish("stopped")
         start = time.perf_counter()
-        decision, memory = _decide(frame, cameras, decide, memory)
+        decision, memory = _decide(frame, cameras, decide, memory, fusion)
         outcome: Outcome | None = None
         if decision.grasp is not None:
             outcome = robot.execute(decision.grasp, decision.scene.frame)
@@ -159,25 +169,55 @@ def _same_view(a: Frame, b: Frame) -> bool:
 
 
 def _decide(
-    frame: Frame, cameras: Sequence[Camera], decide: Callable[[Frame, Memory], Decision], memory: Memory
+    frame: Frame,
+    cameras: Sequence[Camera],
+    decide: Callable[[Frame, Memory], Decision],
+    memory: Memory,
+    fusion: Fusion,
 ) -> tuple[Decision, Memory]:
     """Decide on this frame; where no grasp survives, from the other cameras, then on something else."""
+    if fusion == "always":
+        frame = _fused([frame, *(camera.read() for camera in cameras[1:])]) or frame
     decision = first = decide(frame, memory)
     for replans in range(MAX_REPLANS + 1):
         if decision.grasp is not None or decision.plan.out_of_budget:
             return decision, memory
         if decision is first or decision.status == "no_grasp":
-            for camera in cameras[1:]:
-                other = decide(camera.read(), memory)
+            untried = memory
+            # What the first view does not show is not planned for on the fused one either: the image is the same.
+            for look in _looks(frame, cameras, fusion if decision.status == "no_grasp" else "never"):
+                other = decide(look, memory if look.others is None else untried)
+                if fusion != "never" and look.T_world_camera is None:
+                    other = replace(other, degraded=(*other.degraded, _NOT_FUSED))
                 if other.grasp is not None or other.plan.out_of_budget:
                     return other, memory
-                if other.status == "no_grasp":
+                if other.status == "no_grasp" and look.others is None:
                     memory = _remember(memory, other, Outcome(False, "no_grasp"))
         if decision.status == "no_target" or replans == MAX_REPLANS:
             break
         memory = _remember(memory, decision, Outcome(False, "no_grasp"))
         decision = decide(frame, memory)
     return first, memory
+
+
+def _looks(frame: Frame, cameras: Sequence[Camera], fusion: Fusion) -> Iterator[Frame]:
+    """Other views than this frame of the first camera: the other cameras' alone, and all of them fused."""
+    frames = [frame]
+    if fusion == "first" and len(cameras) > 1:
+        frames += [camera.read() for camera in cameras[1:]]
+        fused = _fused(frames)
+        yield from frames[1:] if fused is None else (fused, *frames[1:])
+        return
+    for camera in cameras[1:]:
+        frames.append(camera.read())
+        yield frames[-1]
+    if fusion == "last" and (fused := _fused(frames)) is not None:
+        yield fused
+
+
+def _fused(frames: list[Frame]) -> Frame | None:
+    """The frames fused in the first one's camera; None where there is nothing to fuse or a pose is unknown."""
+    return None if len(frames) < 2 or any(f.T_world_camera is None for f in frames) else fuse(frames)
 
 
 def _remember(memory: Memory, decision: Decision, outcome: Outcome) -> Memory:

@@ -58,7 +58,7 @@ class Pipeline:
         """Answer an instruction on one frame.
 
         Args:
-            frame: Aligned RGB-D view.
+            frame: Aligned RGB-D view; several views as `thinkgrasp.fusion.fuse` joins them.
             instruction: What a person said, 1..2000 characters.
             memory: What failed before on this scene.
 
@@ -79,7 +79,8 @@ class Pipeline:
         memory = (memory or Memory()).seen_from(frame.T_world_camera)
         plan = self.planner.plan(scene, instruction, memory)
         clock.lap("plan")
-        degraded = (*scene.degraded, *plan.degraded)
+        fused = () if frame.others is None else frame.others.degraded
+        degraded = (*fused, *scene.degraded, *plan.degraded)
         decision = Decision("no_target", instruction, scene, plan, degraded=degraded)
         if not plan.found:
             return replace(decision, timings_ms=clock.timings())

@@ -96,6 +96,11 @@ class EpisodeRecorder:
                 shutil.rmtree(left_over, ignore_errors=True)
             partial.mkdir()
             save_frame(decision.scene.frame, partial)
+            others = decision.scene.frame.others
+            for number, frame in enumerate(others.frames if others is not None else (), 2):
+                folder = partial / f"view{number}"
+                folder.mkdir()
+                save_frame(frame, folder)
             picture = draw_overlay(decision, self._gripper)
             panel = render_panel(
                 step,
@@ -115,7 +120,7 @@ class EpisodeRecorder:
             }
             for name, data in files.items():
                 (partial / name).write_bytes(data)
-            for path in (*partial.iterdir(), partial):
+            for path in (*partial.rglob("*"), partial):
                 _sync(path)
             partial.rename(final)
             _sync(final.parent)

@@ -105,6 +105,7 @@ class Session:
         instruction: str | None = None,
         recorders: Iterable[Recorder] = (),
         stop: Callable[[], bool] = lambda: False,
+        fusion: loop.Fusion = "last",
     ) -> SimulatedEpisode:
         """Run the loop until a goal is in the bin, or it ends otherwise."""
         before = len(self.robot.attempts)
@@ -117,6 +118,7 @@ class Session:
             referee=lambda decision, outcome: self.goal_delivered(),
             recorders=recorders,
             stop=stop,
+            fusion=fusion,
         )
         return SimulatedEpisode(episode, tuple(self.robot.attempts[before:]), self.goals)
 

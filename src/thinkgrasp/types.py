@@ -81,6 +81,8 @@ class Frame:
     """(4, 4) camera to world; None = unknown."""
     workspace: Mask | None = None
     """(H, W) where grasping is allowed; None = everywhere."""
+    others: OtherViews | None = None
+    """What other cameras saw beyond this view; None = this view alone. `thinkgrasp.fusion.fuse` fills it in."""
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)
@@ -98,6 +100,44 @@ class Frame:
             )
         if self.T_world_camera is not None:
             _check_transform("T_world_camera", self.T_world_camera)
+
+
+@dataclass(frozen=True, eq=False)
+class OtherViews:
+    """What other cameras saw of the same things and one camera did not, in that one camera's frame.
+
+    Raises:
+        ContractError: The arrays disagree in length or have another shape.
+    """
+
+    frames: tuple[Frame, ...]
+    """As they were taken; their poses are known."""
+    points: Array
+    """(M, 3) [m], thinned."""
+    normals: Array
+    """(M, 3) unit, towards the camera that saw the point; NaN where unknown."""
+    colors: NDArray[np.uint8]
+    """(M, 3) RGB."""
+    view: NDArray[np.uint8]
+    """(M,) which of `frames` saw it."""
+    disagreement_m: tuple[float, ...]
+    """By how much the surfaces that each of `frames` shares with the one camera lie apart; NaN = none is shared."""
+    agrees: tuple[bool, ...]
+    """Whether each of `frames` fits the one camera's view; grasps are proposed on the points of those alone."""
+    degraded: tuple[Degradation, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.points)
+        for name, shape in (("points", (n, 3)), ("normals", (n, 3)), ("colors", (n, 3)), ("view", (n,))):
+            if getattr(self, name).shape != shape:
+                raise ContractError(f"OtherViews.{name} must be {shape}, got {getattr(self, name).shape}")
+        sizes = {len(self.frames), len(self.disagreement_m), len(self.agrees)}
+        if len(sizes) > 1 or (n and int(self.view.max()) >= len(self.frames)):
+            raise ContractError(f"OtherViews holds {len(self.frames)} frames, but its fields speak of others")
+
+    def agreeing(self) -> NDArray[np.bool_]:
+        """Return (M,) True for the points of frames that agree."""
+        return np.array(self.agrees, np.bool_)[self.view]
 
 
 def _wh(image: NDArray[np.generic]) -> str:
@@ -204,6 +244,13 @@ class Scene:
             if proposal.mark == mark:
                 return proposal
         raise ContractError(f"no proposal has mark {mark}; marks in this scene: {[p.mark for p in self.proposals]}")
+
+    def cloud(self) -> Array:
+        """Return everything that was seen, (N, 3) [m]: finite points of this view, and what other cameras saw."""
+        flat = self.points.reshape(-1, 3)
+        seen = flat[np.isfinite(flat[:, 2])]
+        others = self.frame.others
+        return seen if others is None else np.concatenate([seen, others.points])
 
     def obstructing(self, mark: int) -> tuple[Obstruction, ...]:
         """Edges whose `b` is this mark: what is in its way, including what rests on it."""

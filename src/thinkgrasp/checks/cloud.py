@@ -93,7 +93,7 @@ class BlockedCloud:
 
 
 def near_points(points: NDArray[np.float32], grasps: Grasps, reach_m: float) -> NDArray[np.float32]:
-    """Return the finite points (K, 3) of an organised cloud (H, W, 3) within `reach_m` of the grasps' bounding box."""
+    """Return the finite points (K, 3) of a cloud (..., 3) within `reach_m` of the grasps' bounding box."""
     low = grasps.positions.min(axis=0) - np.float32(reach_m)
     high = grasps.positions.max(axis=0) + np.float32(reach_m)
     flat = points.reshape(-1, 3)

@@ -28,8 +28,9 @@ def body_boxes(grasps: Grasps, gripper: Gripper, extend_back_m: float = 0.0) -> 
 class CollisionCheck:
     """Drop grasps whose fingers or palm meet the full cloud, at the grasp or on the approach.
 
-    Every point of the frame counts, the target's own included; only the space between the fingers may hold points.
-    Most collisions are found on a cloud thinned to `voxel_m`; what survives is tested against every single point.
+    Every point of the frame counts, those that other cameras saw and the target's own included; only the space between
+    the fingers may hold points. Most collisions are found on a cloud thinned to `voxel_m`; what survives is tested
+    against every single point.
 
     Args:
         margin_m: Bodies are enlarged by this much on all sides. Above 2.6 mm (half the diagonal of a 3 mm voxel), no
@@ -88,11 +89,15 @@ class CollisionCheck:
         return keep
 
     def _counted(self, scene: Scene) -> NDArray[np.float32]:
-        """The cloud (H, W, 3), NaN where the support's noise is."""
+        """The cloud (N, 3) without the support's noise."""
         if self.support_noise_m == 0 or scene.support is None:
-            return scene.points
-        noise = scene.support.inliers & (scene.support.height(scene.points) <= self.support_noise_m)
-        return np.where(noise[..., None], np.float32(np.nan), scene.points)
+            return scene.cloud()
+        support, others = scene.support, scene.frame.others
+        noise = support.inliers & (support.height(scene.points) <= self.support_noise_m)
+        seen = scene.points[~noise & np.isfinite(scene.points[..., 2])]
+        if others is None:
+            return seen
+        return np.concatenate([seen, others.points[support.height(others.points) > self.support_noise_m]])
 
     @staticmethod
     def _above_lowest_body(

@@ -58,7 +58,9 @@ class ForceClosureCheck:
         low = -high
         low[:, 2] = -gripper.finger_length_m
         x0, y0, x1, y1 = target.box_xyxy
-        window = scene.points[y0:y1, x0:x1]
+        window = scene.points[y0:y1, x0:x1].reshape(-1, 3)
+        if scene.frame.others is not None:
+            window = np.concatenate([window, scene.frame.others.points])
         points = near_points(window, asked, float(np.linalg.norm([gripper.max_width_m, gripper.finger_length_m])))
         cloud = BlockedCloud.of(points[voxel_downsample(points, 0.003)], 0.02)
         index, _ = cloud.inside(asked, low, high)

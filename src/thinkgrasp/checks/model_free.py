@@ -138,7 +138,7 @@ class ModelFreeCollisionCheck:
         """Return (N,) True where the gripper is empty enough."""
         if len(grasps) == 0:
             return np.ones(0, bool)
-        points = scene.points[np.isfinite(scene.points[..., 2])]
+        points = scene.cloud()
         found = occupancy(
             averaged_voxels(points, self.voxel_m),
             grasps.rotations[:, :, [2, 0, 1]].astype(np.float64),

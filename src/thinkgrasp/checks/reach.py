@@ -78,8 +78,7 @@ class ReachCheck:
         T_camera_tcp[:, :3, :3] = grasps.rotations[order]
         T_camera_tcp[:, :3, 3] = grasps.positions[order]
         opening_m = np.clip(grasps.widths[order].astype(np.float64), 0.0, STROKE_M)
-        points = scene.points.reshape(-1, 3)
-        cloud = apply(T_world_camera, points[np.isfinite(points[:, 2])])
+        cloud = apply(T_world_camera, scene.cloud())
         home = np.array(HOME_RAD)
         keep[order] = self.motion.reaches(home, T_world_camera @ T_camera_tcp, opening_m, cloud, at_most=self.max_kept)
         return keep

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thinkgrasp.errors import ConfigError, InputError, MissingDependency
+from thinkgrasp.generators.other_views import owners
 from thinkgrasp.geometry import apply, invert
 from thinkgrasp.gripper import Gripper
 from thinkgrasp.types import Array, Grasps, Mask, Scene
@@ -50,7 +51,8 @@ class CloudNetworkGenerator(ABC):
     """Propose grasps with a network on the cloud about the crop.
 
     The network sees the workspace as far as `margin_m` around the crop, with the table and the neighbours in it,
-    thinned at random to `num_point` points; grasps count whose seed lies on the crop.
+    thinned at random to `num_point` points; grasps count whose seed lies on the crop, or on what other cameras saw of
+    the things that are mostly under it.
 
     Args:
         weights: The official checkpoint, or any file of its state dict; or a name of weights.toml; None = the one of
@@ -124,7 +126,14 @@ class CloudNetworkGenerator(ABC):
         with np.errstate(invalid="ignore"):
             near = (scene.points >= low - self.margin_m) & (scene.points <= high + self.margin_m)
         used = seen & near.all(axis=2)
-        return self.on_cloud(scene.points[used], wanted[used], gripper, rng)
+        points, starts = scene.points[used], wanted[used]
+        others = scene.frame.others
+        if others is not None:
+            near = ((others.points >= low - self.margin_m) & (others.points <= high + self.margin_m)).all(axis=1)
+            marks = [p.mark for p in scene.proposals if np.count_nonzero(p.mask & crop) > 0.5 * p.mask.sum()]
+            points = np.concatenate([points, others.points[near]])
+            starts = np.concatenate([starts, np.isin(owners(scene), marks)[near]])
+        return self.on_cloud(points, starts, gripper, rng)
 
     def on_cloud(
         self,

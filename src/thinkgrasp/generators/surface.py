@@ -1,6 +1,6 @@
-"""The surface of one object as far as one view tells: what is seen, and what symmetry and the support say of the rest.
+"""The surface of one object as far as the views tell: what is seen, and what symmetry and the support say of the rest.
 
-Two sources complete the seen points, and neither may enter space that the camera saw to be free:
+Two sources complete the seen points, and neither may enter space that a camera saw to be free:
 the object turned by half a turn about its vertical axis (boxes, cans, balls, bowls, boxes on their side), and a curtain
 that hangs from the occluding contour down to the support (anything that is not undercut).
 """
@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import KDTree
 
+from thinkgrasp.fusion import seen_free
+from thinkgrasp.generators.other_views import own_points
 from thinkgrasp.geometry import voxel_downsample
 from thinkgrasp.gripper import Gripper
 from thinkgrasp.types import Mask, Scene
@@ -69,7 +71,7 @@ class Surface:
     normals: Float
     """(N, 3) unit, outward."""
     seen: NDArray[np.bool_]
-    """(N,) measured by the camera, not inferred."""
+    """(N,) measured by a camera, not inferred."""
     wanted: NDArray[np.bool_]
     """(N,) seen inside the crop, or inferred from such a point."""
 
@@ -94,8 +96,8 @@ class Completed:
         upright = Upright.of(scene, seen.points)
         turned = half_turn(scene, seen, upright)
         curtain = contour_curtain(scene, mask, crop, seen, upright, 120, extrapolate=turned is None)
-        whole = join([seen, *([turned] if turned is not None else []), curtain])
-        return cls(seen, whole, upright)
+        inferred = [turned, curtain] if turned is not None else [curtain]
+        return cls(seen, join([seen, *(_not_free(scene, part) for part in inferred)]), upright)
 
     def off_centre(self, points: Float) -> Float:
         """Return how far (N,) points (N, 3) lie from the object's middle: 0..1, 1 = half its diagonal or more."""
@@ -113,7 +115,11 @@ def _surroundings(scene: Scene, mask: Mask, points: Float, upright: Upright, gri
     """Seen points (M, 3) outside `mask` that stand above the support within the gripper's reach of the object."""
     stride = max(1, scene.frame.camera.width // 160)
     grid = (slice(None, None, stride), slice(None, None, stride))
-    cloud, outside = scene.points[grid], ~mask[grid]
+    cloud, outside = scene.points[grid].reshape(-1, 3), ~mask[grid].reshape(-1)
+    if scene.frame.others is not None:
+        more = np.ones(len(scene.frame.others.points), bool)
+        more[own_points(scene, mask)] = False
+        cloud, outside = np.concatenate([cloud, scene.frame.others.points]), np.concatenate([outside, more])
     reach = np.float32(gripper.max_width_m + gripper.finger_thickness_m)
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
     with np.errstate(invalid="ignore"):
@@ -152,10 +158,10 @@ def estimate_normals(points: Float, neighbours: int = 16) -> Float:
 
 
 def seen_surface(scene: Scene, mask: Mask, crop: Mask, max_points: int, voxel_m: float) -> Surface | None:
-    """Sample what the camera saw under `mask`, evenly and without lone points; None where there is too little.
+    """Sample what was seen of the object under `mask`, evenly and without lone points; None where there is too little.
 
     Args:
-        scene: Gives the cloud and, where known, its normals.
+        scene: Gives the cloud and, where known, its normals, and what other cameras saw of the object.
         mask: The object (H, W).
         crop: Where grasps are wanted (H, W).
         max_points: The voxel grows until about this many points are left.
@@ -164,7 +170,15 @@ def seen_surface(scene: Scene, mask: Mask, crop: Mask, max_points: int, voxel_m:
     v, u = np.nonzero(mask & np.isfinite(scene.points[..., 2]))
     if len(u) < 8:
         return None
-    points = scene.points[v, u]
+    points, wanted = scene.points[v, u], crop[v, u]
+    normals = np.full_like(points, np.nan) if scene.normals is None else scene.normals[v, u]
+    more = own_points(scene, mask)
+    if len(more) and scene.frame.others is not None:
+        others = scene.frame.others
+        nearest = KDTree(points).query(others.points[more])[1]
+        points = np.concatenate([points, others.points[more]])
+        normals = np.concatenate([normals, others.normals[more]])
+        wanted = np.concatenate([wanted, wanted[nearest]])
     keep = voxel_downsample(points, voxel_m)
     if len(keep) > max_points:
         keep = voxel_downsample(points, voxel_m * np.sqrt(len(keep) / max_points))
@@ -174,11 +188,11 @@ def seen_surface(scene: Scene, mask: Mask, crop: Mask, max_points: int, voxel_m:
     keep, p = keep[~lone], p[~lone]
     if len(p) < 8:
         return None
-    normals = np.full_like(p, np.nan) if scene.normals is None else scene.normals[v[keep], u[keep]].copy()
+    normals = normals[keep]
     unknown = ~np.isfinite(normals).all(axis=1)
     if unknown.any():
         normals[unknown] = estimate_normals(p)[unknown]
-    return Surface(p, normals, np.ones(len(p), bool), crop[v[keep], u[keep]])
+    return Surface(p, normals, np.ones(len(p), bool), wanted[keep])
 
 
 def half_turn(scene: Scene, seen: Surface, upright: Upright) -> Surface | None:
@@ -333,6 +347,14 @@ def _round_radius(near: Float, inside: Float, height: Float, rise: Float) -> Flo
     radius = np.minimum(turning, resting)
     expected = 1 - 0.0035 / np.maximum(turning, 0.005) - 0.10
     return np.where((near > expected) & (radius < _MAX_ROUND_M) & (rise > 0.05), radius, 0).astype(np.float32)
+
+
+def _not_free(scene: Scene, surface: Surface) -> Surface:
+    """The inferred points that no other camera saw through."""
+    if scene.frame.others is None:
+        return surface
+    keep = ~seen_free(scene.frame, surface.points, _FREE_TOLERANCE_M)
+    return Surface(surface.points[keep], surface.normals[keep], surface.seen[keep], surface.wanted[keep])
 
 
 def join(parts: list[Surface]) -> Surface:

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from thinkgrasp.closure import OrientedCloud, pad_friction
 from thinkgrasp.contacts import closure_score
 from thinkgrasp.errors import ConfigError, MissingDependency
+from thinkgrasp.fusion import agreeing_views
 from thinkgrasp.generators.antipodal import split_objects
 from thinkgrasp.generators.cubes import place_cubes, supported
 from thinkgrasp.generators.placement import PlacementSettings, reach_past
@@ -61,8 +62,8 @@ class _Hands:
 class VgnGenerator:
     """Propose grasps where the network sees them, and fit the gripper to what is between its fingers.
 
-    Upright cubes of the whole view, the support in each at the height that the network knows, are put over the crop;
-    voxels whose fingers would not close on a cropped point are left out.
+    Upright cubes of the whole view, or of all views that were fused, the support in each at the height that the network
+    knows, are put over the crop; voxels whose fingers would not close on a cropped point are left out.
 
     The score of a fitted grasp is the network's quality, after its post-processing, times 1.1 - mu of what the pads
     would touch (0 where that does not close at mu = 1), times 1 down to 0.75 with the distance from the object's
@@ -191,10 +192,16 @@ class VgnGenerator:
             yaws_rad=self.yaws_rad,
             max_cubes=self.max_cubes,
         )
-        depth = scene.frame.depth[None]
+        views = agreeing_views(scene.frame)
+        depth, cameras = [frame.depth for frame, _ in views], [frame.camera for frame, _ in views]
         grids = [
             fuse(
-                depth, scene.frame.camera, T[None], length_m=side, resolution=vgn.RESOLUTION, max_depth_m=np.inf
+                depth,
+                cameras,
+                np.stack([T_view_camera @ T for _, T_view_camera in views]),
+                length_m=side,
+                resolution=vgn.RESOLUTION,
+                max_depth_m=np.inf,
             ).grid()
             for T in cubes
         ]

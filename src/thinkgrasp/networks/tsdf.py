@@ -35,7 +35,7 @@ class Tsdf:
 
 
 def fuse(
-    depth: NDArray[np.floating],
+    depth: NDArray[np.floating] | Sequence[NDArray[np.floating]],
     cameras: CameraIntrinsics | Sequence[CameraIntrinsics],
     T_camera_task: NDArray[np.floating],
     *,
@@ -49,7 +49,7 @@ def fuse(
     bit for bit: the nearest pixel, no interpolation, distances along the ray, every view with weight 1.
 
     Args:
-        depth: Along the optical axis, (V, H, W) [m]; 0, negative or not finite = no return.
+        depth: Along the optical axis, V images (H, W) [m] of any sizes; 0, negative or not finite = no return.
         cameras: One for all views, or one each.
         T_camera_task: Cube to camera, (V, 4, 4); the cube's corner is its origin.
         length_m: Side of the cube.
@@ -64,10 +64,11 @@ def fuse(
         against Open3D 0.19.0.
     """
     views = [cameras] * len(depth) if isinstance(cameras, CameraIntrinsics) else list(cameras)
-    if depth.ndim != 3 or len(depth) == 0 or T_camera_task.shape != (len(depth), 4, 4) or len(views) != len(depth):
+    images = all(image.ndim == 2 for image in depth)
+    if not images or len(depth) == 0 or T_camera_task.shape != (len(depth), 4, 4) or len(views) != len(depth):
         raise InputError(
             f"a TSDF needs depth (V, H, W), transforms (V, 4, 4) and one camera or V, with V >= 1; "
-            f"got {depth.shape}, {T_camera_task.shape} and {len(views)} cameras"
+            f"got {[image.shape for image in depth]}, {T_camera_task.shape} and {len(views)} cameras"
         )
     voxel = np.float32(length_m / resolution)
     truncation = np.float32(TRUNCATION_VOXELS * (length_m / resolution))

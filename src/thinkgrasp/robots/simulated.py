@@ -20,7 +20,7 @@ from thinkgrasp.motion.robotiq_2f85 import PAD_HALF_M, STROKE_M, flange_to_tip, 
 from thinkgrasp.motion.trajectory import Trajectory, time_path
 from thinkgrasp.motion.ur5e import LIMITS
 from thinkgrasp.sim.world import GRIP_FORCE_N, TIMESTEP_S, World
-from thinkgrasp.types import Frame, Grasp, Outcome
+from thinkgrasp.types import Frame, Grasp, Outcome, Scene
 
 Float = NDArray[np.float64]
 
@@ -282,12 +282,12 @@ def _over_bin(yaw: float, z_m: float) -> Float:
 
 
 def perceived_cloud(frame: Frame) -> Float:
-    """Return the world points (P, 3) [m] that a frame shows.
+    """Return the world points (P, 3) [m] that a frame shows, those of other cameras included.
 
     Raises:
         InputError: The frame's camera pose is unknown.
     """
     if frame.T_world_camera is None:
         raise InputError("the camera's pose is needed to plan a motion: T_world_camera is missing in the frame")
-    points = deproject(frame.depth, frame.camera).reshape(-1, 3)
-    return np.asarray(apply(frame.T_world_camera, points[np.isfinite(points[:, 2])]), np.float64)
+    points = Scene(frame, deproject(frame.depth, frame.camera)).cloud()
+    return np.asarray(apply(frame.T_world_camera, points), np.float64)

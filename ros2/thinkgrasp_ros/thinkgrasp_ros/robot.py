@@ -1,0 +1,190 @@
+"""A robot behind MoveIt and a gripper action, as `thinkgrasp.loop` knows one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thinkgrasp.errors import ConfigError, InputError
+from thinkgrasp.geometry import apply, deproject, make_transform
+from thinkgrasp.types import Frame, Grasp, Outcome, Scene
+from thinkgrasp_ros.interface import (
+    GripperClient,
+    GripperState,
+    Message,
+    Messages,
+    MotionClient,
+    RobotFault,
+    Transform,
+)
+from thinkgrasp_ros.moveit import SUCCESS, gripper_goal, joint_goal, obstacle_cubes, outcome_of, pose_goal
+from thinkgrasp_ros.parameters import Parameters
+
+_HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""Two fingers are the same turned about the approach."""
+
+
+class MoveItRobot:
+    """Carries a grasp out: open, to the pre-grasp, straight in, close, straight up, over the place, open, home.
+
+    What is held is asked for after the lift and before it is let go: closing once more, the gripper must stall before
+    it is closed. An attempt that fails puts back what it holds, where that was, and goes home.
+
+    Args:
+        parameters: Of the node.
+        messages: Makes messages.
+        motions: MoveIt.
+        gripper: The gripper's action.
+        cancelled: Asked all the while; when it turns True the motion is cancelled and nothing else is moved.
+
+    Raises:
+        ConfigError: The parameters name no joints for home and place.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        messages: Messages,
+        motions: MotionClient,
+        gripper: GripperClient,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> None:
+        if not parameters.joint_names:
+            raise ConfigError(
+                "the parameters joint_names, home_joints and place_joints say where the robot waits and where it lets "
+                "things go; without them nothing is executed"
+            )
+        self.cancelled = cancelled
+        self._parameters = parameters
+        self._messages = messages
+        self._motions = motions
+        self._gripper = gripper
+
+    def execute(self, grasp: Grasp, frame: Frame) -> Outcome:
+        """Carry out a grasp given in the frame's camera coordinates.
+
+        Returns:
+            "held" when the thing was let go over the place; else "missed", "slipped", "unreachable", "collision", or
+            "preempted" when it was cancelled, with the robot where it stopped.
+
+        Raises:
+            InputError: The frame's camera pose is unknown, or the grasp is not finite.
+            ConfigError: A parameter does not fit the robot.
+            RobotFault: Robot, driver or MoveIt failed.
+        """
+        if frame.T_world_camera is None:
+            raise InputError("the robot needs the camera's pose: T_world_camera is missing in the frame")
+        T_world_tcp = frame.T_world_camera @ make_transform(grasp.rotation, grasp.position)
+        cloud = apply(frame.T_world_camera, Scene(frame, deproject(frame.depth, frame.camera)).cloud())
+        try:
+            return self._attempt(T_world_tcp, grasp.width_m, cloud)
+        except _Ended as end:
+            return Outcome(False, end.reason)
+
+    def _attempt(self, T_world_tcp: Transform, width_m: float, cloud: NDArray[np.floating]) -> Outcome:
+        self._command(width_m)
+        obstacles = obstacle_cubes(cloud, self._parameters, [T_world_tcp[:3, 3]])
+        T = self._to_pregrasp(T_world_tcp, obstacles)
+        self._move(self._pose(T, straight=True), or_else=self._home)
+        if self._is_empty(self._command(0.0)):
+            self._leave(T)
+            return Outcome(False, "missed")
+        self._move(self._pose(_raised(T, self._parameters.lift_m), straight=True), or_else=lambda: self._leave(T))
+        if self._is_empty(self._command(0.0)):
+            self._home()
+            return Outcome(False, "slipped")
+        self._move(self._joints(self._parameters.place_joints, obstacles), or_else=lambda: self._put_back(T))
+        held = not self._is_empty(self._command(0.0))
+        self._command(self._parameters.stroke_m)
+        self._home()
+        return Outcome(held, "held" if held else "slipped")
+
+    def _to_pregrasp(self, T_world_tcp: Transform, obstacles: NDArray[np.float64] | None) -> Transform:
+        """Move to the pre-grasp by RRT*; return the grasp as it is reached: as it is, or turned by half a turn."""
+        for T in (T_world_tcp, T_world_tcp @ _HALF_TURN):
+            reason = self._reason(self._pose(_backed(T, self._parameters.standoff_m), obstacles=obstacles))
+            if reason is None:
+                return T
+            if reason != "unreachable":
+                raise _Ended(reason)
+        raise _Ended("unreachable")
+
+    def _put_back(self, T: Transform) -> None:
+        """Down again to where the thing was taken, and leave."""
+        self._surely(self._pose(T, straight=True), "put down what it holds")
+        self._leave(T)
+
+    def _leave(self, T: Transform) -> None:
+        """Open, back off and go home."""
+        self._command(self._parameters.stroke_m)
+        self._surely(self._pose(_backed(T, self._parameters.standoff_m), straight=True), "back off")
+        self._home()
+
+    def _home(self) -> None:
+        self._surely(self._joints(self._parameters.home_joints, None), "go home")
+
+    def _reason(self, goal: Message) -> str | None:
+        """Move, and return why that did not come about; None where it did."""
+        if self.cancelled():
+            return "preempted"
+        code = self._motions.move(goal, self.cancelled)
+        return "preempted" if code != SUCCESS and self.cancelled() else outcome_of(code)
+
+    def _surely(self, goal: Message, what: str) -> None:
+        """Move; where that fails, somebody has to look, for the arm stands in the way."""
+        reason = self._reason(goal)
+        if reason == "preempted":
+            raise _Ended(reason)
+        if reason is not None:
+            raise RobotFault(f"the robot could not {what} ({reason}); it stands where it stopped")
+
+    def _move(self, goal: Message, *, or_else: Callable[[], None]) -> None:
+        """Move; where that fails and nobody cancelled, do something else before the attempt ends."""
+        reason = self._reason(goal)
+        if reason is None:
+            return
+        if reason != "preempted":
+            or_else()
+        raise _Ended(reason)
+
+    def _command(self, width_m: float) -> GripperState:
+        if self.cancelled():
+            raise _Ended("preempted")
+        goal = gripper_goal(self._messages, self._parameters, width_m)
+        state = self._gripper.command(goal, self.cancelled)
+        if self.cancelled():
+            raise _Ended("preempted")
+        return state
+
+    def _is_empty(self, state: GripperState) -> bool:
+        return not state.stalled or self._parameters.is_closed(state.position)
+
+    def _pose(self, T: Transform, *, straight: bool = False, obstacles: NDArray[np.float64] | None = None) -> Message:
+        return pose_goal(self._messages, self._parameters, T, straight=straight, obstacles=obstacles)
+
+    def _joints(self, joints_rad: object, obstacles: NDArray[np.float64] | None) -> Message:
+        return joint_goal(self._messages, self._parameters, joints_rad, obstacles=obstacles)  # type: ignore[arg-type]
+
+
+class _Ended(Exception):
+    """A motion did not come about, for a named reason."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+def _backed(T: Transform, by_m: float) -> Transform:
+    """The pose moved back along its approach."""
+    moved = T.copy()
+    moved[:3, 3] -= by_m * T[:3, 2]
+    return moved
+
+
+def _raised(T: Transform, by_m: float) -> Transform:
+    """The pose moved up."""
+    moved = T.copy()
+    moved[2, 3] += by_m
+    return moved

@@ -1,0 +1,166 @@
+"""An attempt behind MoveIt: what is moved in which order, how it is verified, and every way that it can end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fakes.ros import FakeGripper, FakeMessages, FakeMotions, parameters
+from fakes.stages import table_frame
+from fakes.table_loop import POSE
+from thinkgrasp_ros.interface import RobotFault
+from thinkgrasp_ros.robot import MoveItRobot
+
+from thinkgrasp.errors import ConfigError, InputError
+from thinkgrasp.fusion import fuse
+from thinkgrasp.types import Grasp, Outcome
+
+FRAME = table_frame(T_world_camera=POSE)
+AT = np.array([-0.12, 0.0, 0.70])
+GRASP = Grasp(np.eye(3), AT, 0.06, 0.9)
+"""From above in the camera's frame, on the red block."""
+WORLD, UP = np.array([-0.12, 0.0, -0.70]), np.array([0.0, 0.0, 1.0])
+
+
+def place(goal) -> tuple[str, np.ndarray | None]:
+    """The planner that a goal asks for, and where it brings the TCP; None for joints."""
+    (constraints,) = goal.request.goal_constraints
+    if constraints.joint_constraints:
+        return goal.request.planner_id, None
+    at = constraints.position_constraints[0].constraint_region.primitive_poses[0].position
+    return goal.request.planner_id, np.array([at.x, at.y, at.z])
+
+
+def joints(goal) -> float:
+    return goal.request.goal_constraints[0].joint_constraints[0].position
+
+
+def run(script=(), widths=(0.03,), cancelled=lambda: False, frame=FRAME, **changes):
+    told = parameters(**changes)
+    motions, gripper = FakeMotions(list(script)), FakeGripper(told, list(widths))
+    robot = MoveItRobot(told, FakeMessages(), motions, gripper, cancelled)
+    return robot.execute(GRASP, frame), motions, gripper
+
+
+def test_an_attempt_that_succeeds():
+    outcome, motions, gripper = run()
+    assert outcome == Outcome(True, "held")
+    there = [place(goal) for goal in motions.goals]
+    assert [planner for planner, _ in there] == ["RRTstar", "LIN", "LIN", "RRTstar", "RRTstar"]
+    assert np.allclose(there[0][1], WORLD + 0.10 * UP)
+    assert np.allclose(there[1][1], WORLD)
+    assert np.allclose(there[2][1], WORLD + 0.15 * UP)
+    assert [joints(goal) for goal in motions.goals[3:]] == [1.0, 0.0], "the place, then home"
+    told = parameters()
+    wanted = [told.gripper_position(w) for w in (0.06, 0, 0, 0, 0.085)]
+    assert [goal.command.position for goal in gripper.goals] == pytest.approx(wanted)
+
+
+def test_the_perceived_cloud_is_an_obstacle_on_the_free_ways_alone():
+    _, motions, _ = run()
+    sizes = [len(goal.planning_options.planning_scene_diff.world.collision_objects) for goal in motions.goals]
+    assert sizes == [1, 0, 0, 1, 0]
+
+
+def test_what_other_cameras_saw_is_an_obstacle_too():
+    aside = POSE.copy()
+    aside[0, 3] = 0.3
+    fused = fuse([FRAME, replace(table_frame(T_world_camera=aside))])
+    alone, both = (run(frame=f)[1].goals[0] for f in (FRAME, fused))
+    cubes = [len(g.planning_options.planning_scene_diff.world.collision_objects[0].primitives) for g in (alone, both)]
+    assert cubes[1] > cubes[0]
+
+
+@pytest.mark.parametrize(
+    ("script", "widths", "reason", "planners"),
+    [
+        ([-1, -1], [0.03], "unreachable", ["RRTstar", "RRTstar"]),
+        ([99999, -31], [0.03], "unreachable", ["RRTstar", "RRTstar"]),
+        ([1, -1], [0.03], "unreachable", ["RRTstar", "LIN", "RRTstar"]),
+        ([1, -3], [0.03], "collision", ["RRTstar", "LIN", "RRTstar"]),
+        ([], [0.0], "missed", ["RRTstar", "LIN", "LIN", "RRTstar"]),
+        ([], [0.001], "missed", ["RRTstar", "LIN", "LIN", "RRTstar"]),
+        ([1, 1, -1], [0.03], "unreachable", ["RRTstar", "LIN", "LIN", "LIN", "RRTstar"]),
+        ([], [0.03, 0.0], "slipped", ["RRTstar", "LIN", "LIN", "RRTstar"]),
+        ([1, 1, 1, -1], [0.03], "unreachable", ["RRTstar", "LIN", "LIN", "RRTstar", "LIN", "LIN", "RRTstar"]),
+        ([], [0.03, 0.03, 0.0], "slipped", ["RRTstar", "LIN", "LIN", "RRTstar", "RRTstar"]),
+    ],
+)
+def test_every_way_to_fail_ends_at_home_with_an_open_gripper(script, widths, reason, planners):
+    outcome, motions, gripper = run(script, widths)
+    assert outcome == Outcome(False, reason)
+    assert [place(goal)[0] for goal in motions.goals] == planners
+    if len(planners) > 2:
+        assert joints(motions.goals[-1]) == 0.0, "home"
+    if reason in ("missed",) or script[:3] == [1, 1, -1] or script == [1, 1, 1, -1]:
+        assert gripper.goals[-1].command.position == 0.0
+
+
+def test_what_cannot_be_carried_is_put_back_where_it_was():
+    _, motions, gripper = run([1, 1, 1, -1])
+    down = motions.goals[4]
+    assert np.allclose(place(down)[1], WORLD)
+    assert gripper.goals[-1].command.position == 0.0
+
+
+def test_the_grasp_turned_by_half_a_turn_is_tried_where_the_first_is_out_of_reach():
+    outcome, motions, _ = run([-1])
+    assert outcome.success
+    q = [goal.request.goal_constraints[0].orientation_constraints[0].orientation for goal in motions.goals[:3]]
+    first, second, then = (np.array([o.x, o.y, o.z, o.w]) for o in q)
+    assert abs(first @ second) < 1e-6, "180 degrees apart"
+    assert abs(second @ then) == pytest.approx(1), "and kept for the way in"
+
+
+@pytest.mark.parametrize("motion", range(5))
+def test_a_cancel_stops_everything_where_it_is(motion):
+    done = []
+    told = parameters()
+    motions, gripper = FakeMotions(before=done.append), FakeGripper(told)
+    robot = MoveItRobot(told, FakeMessages(), motions, gripper, lambda: len(done) > motion)
+    assert robot.execute(GRASP, FRAME) == Outcome(False, "preempted")
+    assert len(motions.goals) == motion + 1, "no motion after it"
+
+
+def test_a_cancel_while_the_gripper_closes():
+    told = parameters()
+    motions, gripper = FakeMotions(), FakeGripper(told)
+    robot = MoveItRobot(told, FakeMessages(), motions, gripper, lambda: len(gripper.goals) == 2)
+    assert robot.execute(GRASP, FRAME) == Outcome(False, "preempted")
+    assert len(motions.goals) == 2
+
+
+def test_preemption_by_someone_else_is_named_and_nothing_is_moved_on():
+    outcome, motions, _ = run([1, 1, -7])
+    assert (outcome, len(motions.goals)) == (Outcome(False, "preempted"), 3)
+
+
+@pytest.mark.parametrize("code", [-4, -10, -25, -30])
+def test_faults_are_raised(code):
+    with pytest.raises(RobotFault, match=rf"\({code}\)"):
+        run([1, code])
+
+
+def test_a_parameter_that_does_not_fit_is_named():
+    with pytest.raises(ConfigError, match=r"INVALID_GROUP_NAME .*check the parameter group"):
+        run([-15])
+
+
+@pytest.mark.parametrize(("script", "what"), [([1, -1, -1], "go home"), ([1, 1, -1, -1], "back off")])
+def test_an_arm_that_cannot_get_out_of_the_way_is_a_fault(script, what):
+    with pytest.raises(RobotFault, match=f"could not {what} .*stands where it stopped"):
+        run(script)
+    with pytest.raises(RobotFault, match="could not put down what it holds"):
+        run([1, 1, 1, -1, -1])
+
+
+def test_bad_input():
+    with pytest.raises(InputError, match="T_world_camera is missing"):
+        run(frame=table_frame())
+    with pytest.raises(ConfigError, match="joint_names, home_joints and place_joints"):
+        run(joint_names=(), home_joints=(), place_joints=())
+    told = parameters()
+    robot = MoveItRobot(told, FakeMessages(), FakeMotions(), FakeGripper(told))
+    with pytest.raises(InputError, match="must be a finite"):
+        robot.execute(replace(GRASP, position=np.array([np.nan, 0, 0.5])), FRAME)
