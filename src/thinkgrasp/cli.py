@@ -21,8 +21,10 @@ import tyro
 from tyro.conf import Positional, arg, subcommand
 
 from thinkgrasp import __version__
+from thinkgrasp.calibrate_command import CalibrateCommand
 from thinkgrasp.errors import ConfigError, InputError, ThinkGraspError
 from thinkgrasp.outputs import check_writable, make_folder, one_line, write_atomic
+from thinkgrasp.run_command import RunCommand
 from thinkgrasp.stage_options import DEFAULT_STAGES, StageOptions, configure
 
 if TYPE_CHECKING:
@@ -229,6 +231,8 @@ class PresetsCommand:
 Command = (
     Annotated[GraspCommand, subcommand("grasp")]
     | Annotated[DemoCommand, subcommand("demo")]
+    | Annotated[RunCommand, subcommand("run")]
+    | Annotated[CalibrateCommand, subcommand("calibrate")]
     | Annotated[DoctorCommand, subcommand("doctor")]
     | Annotated[PluginsCommand, subcommand("plugins")]
     | Annotated[PresetsCommand, subcommand("presets")]
@@ -268,7 +272,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, BUG, f"{message} (this is a bug; --debug shows where)", debug=debug)
 
 
-def _parse(args: list[str]) -> GraspCommand | DemoCommand | DoctorCommand | PluginsCommand | PresetsCommand | int:
+def _parse(
+    args: list[str],
+) -> GraspCommand | DemoCommand | RunCommand | CalibrateCommand | DoctorCommand | PluginsCommand | PresetsCommand | int:
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):
