@@ -40,7 +40,7 @@ BASE_M, BASE_DEG = 0.003, 0.5
 """How far the base pose at calibration may be from the cell's."""
 HELD_OUT_MM, HELD_OUT_DEG = 10.0, 1.5
 """Largest median error of a calibration that is worked with."""
-_RAY_STRIDE_PX = 6
+_RAYS_ACROSS = 160
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,8 @@ def arm_finding(frame: Frame, q: Float, opening_m: float, world: PlanningWorld) 
     if frame.T_world_camera is None:
         return Finding("arm in view", "failed", "the frame does not say where the camera is")
     camera, T = frame.camera, frame.T_world_camera
-    v, u = np.mgrid[0 : camera.height : _RAY_STRIDE_PX, 0 : camera.width : _RAY_STRIDE_PX].reshape(2, -1)
+    stride = max(1, camera.width // _RAYS_ACROSS)
+    v, u = np.mgrid[0 : camera.height : stride, 0 : camera.width : stride].reshape(2, -1)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
     expected = world.robot_along(q, opening_m, T[:3, 3], rays @ T[:3, :3].T)
     seen = frame.depth[v, u].astype(np.float64)

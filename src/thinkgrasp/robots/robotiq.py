@@ -29,8 +29,9 @@ OPEN_COUNT, CLOSED_COUNT = 3, 228
 """What POS says of a 2F-85 that is fully open, and with its pads together."""
 _REPLY = re.compile(rb"\s*([A-Z]{3})[ \t]+(\S+)")
 _ACK = re.compile(rb"\s*ack")
-_QUIET_S = 0.01
-"""After this long without another byte a reply without line end is complete."""
+_QUIET_S = 0.03
+"""After this long without another byte a reply without line end is complete, if it makes sense; from a gripper that once
+ended a line, line ends are waited for."""
 _LONGEST_REPLY = 256
 _ACTIVE = 3
 STILL_HELD_M = 0.006
@@ -193,6 +194,7 @@ class RobotiqGripper:
         self._force, self._speed = self.counts.force(force_n), self.counts.speed(speed_m_s)
         self._timeout_s = timeout_s
         self._sleep = sleep
+        self._ends_lines = False
         self._where = f"gripper at {host}:{port}"
         try:
             self._socket = socket.create_connection((host, port), timeout=timeout_s)
@@ -240,7 +242,7 @@ class RobotiqGripper:
             self._drain()
             self._socket.settimeout(self._timeout_s)
             self._socket.sendall(line)
-            reply = self._read(deadline)
+            reply = self._read(deadline, expected)
         except OSError as error:
             raise GripperSilent(f"the connection to the {self._where} broke: {error}") from error
         found = expected.fullmatch(reply.rstrip(b"\r\n\0 "))
@@ -249,18 +251,20 @@ class RobotiqGripper:
             raise GripperSilent(f"the {self._where} {said} to {line.strip().decode()!r}")
         return found
 
-    def _read(self, deadline: float) -> bytes:
-        """Read until a line ends, or what came so far is followed by silence."""
+    def _read(self, deadline: float, expected: re.Pattern[bytes]) -> bytes:
+        """Read until a line ends, or what came so far makes sense and is followed by silence."""
         reply = b""
         while len(reply) < _LONGEST_REPLY and not reply.endswith(b"\n"):
             left = deadline - time.monotonic()
-            wait = min(left, _QUIET_S) if reply else left
+            whole = not self._ends_lines and expected.fullmatch(reply) is not None
+            wait = min(left, _QUIET_S) if whole else left
             if wait <= 0 or not select.select([self._socket], [], [], wait)[0]:
                 break
             part = self._socket.recv(_LONGEST_REPLY)
             if not part:
                 raise ConnectionResetError("it was closed by the other side")
             reply += part
+        self._ends_lines |= reply.endswith(b"\n")
         return reply
 
     def _drain(self) -> None:

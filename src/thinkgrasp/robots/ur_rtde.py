@@ -196,8 +196,8 @@ class URRobot:
         plan = self.motion.plan_grasp(self.link.state().q, T_world_tcp, opening, cloud)
         if isinstance(plan, str):
             raise _Ended("unreachable", f"no motion to the grasp: {plan}")
+        self._rehearse(plan, T_world_tcp, opening, cloud)
         if self.dry_run:
-            self._show(plan, T_world_tcp, opening)
             return "dry_run"
         return self._take(plan, T_world_tcp, opening, cloud)
 
@@ -223,8 +223,7 @@ class URRobot:
             return self._back_out(stop, cloud)
 
     def _deliver(self, gripped: GripperState, cloud: Float, taken_at_z: float) -> Reason | None:
-        poses = over_bin(self.cell.bin_box, taken_at_z)
-        way = self.motion.plan_to_poses(self.link.state().q, poses, gripped.opening_m, cloud)
+        way = self._way_to_bin(self.link.state().q, gripped.opening_m, cloud, taken_at_z)
         if isinstance(way, str):
             self._open(STROKE_M, "open the gripper, as no way leads to the bin, and let go")
             self._go_home(cloud)
@@ -257,16 +256,20 @@ class URRobot:
             raise Halted("checks_failed", f"not agreed upon: {', '.join(failed)}; nothing moves")
         self._checked = True
 
-    def _show(self, plan: GraspMotion, T_world_tcp: Float, opening: float) -> None:
-        """Tell what would be done, and whether the rules allow it."""
+    def _rehearse(self, plan: GraspMotion, T_world_tcp: Float, opening: float, cloud: Float) -> None:
+        """Check every motion up to the bin before the first one is made; in a dry run, tell them."""
         slow, fast = self.cell.limits.approach_speed_m_s, self.cell.limits.tcp_speed_m_s
+        to_bin = self._way_to_bin(plan.lift.end, opening, without_taken(cloud, T_world_tcp), float(T_world_tcp[2, 3]))
+        if isinstance(to_bin, str):
+            raise _Ended("unreachable", f"no motion from the grasp to the bin: {to_bin}")
         at = ", ".join(f"{c:.3f}" for c in T_world_tcp[:3, 3])
-        self.person.tell(f"would close from {opening * 1e3:.0f} mm at ({at}) m in the world")
+        told = [f"would close from {opening * 1e3:.0f} mm at ({at}) m in the world"]
         q = self.link.state().q
         parts = (
             ("to the pre-grasp", plan.to_pregrasp, fast),
             ("straight in", plan.approach, slow),
             ("straight up", plan.lift, slow),
+            ("to the bin", to_bin, fast),
         )
         for name, trajectory, speed in parts:
             motion = slowed_to(trajectory, self.cell, tcp_speed_m_s=speed)
@@ -274,8 +277,14 @@ class URRobot:
             self.journal.note("planned", name=name, duration_s=motion.duration_s, end_rad=motion.end.tolist())
             if refusal is not None:
                 raise _Ended(refusal.reason, f"{name}: {refusal.detail}")
-            self.person.tell(f"would move {name}: {self._describe(motion)}")
+            told.append(f"would move {name}: {self._describe(motion)}")
             q = motion.end
+        if self.dry_run:
+            for line in told:
+                self.person.tell(line)
+
+    def _way_to_bin(self, q: Float, opening_m: float, cloud: Float, taken_at_z_m: float) -> Trajectory | str:
+        return self.motion.plan_to_poses(q, over_bin(self.cell.bin_box, taken_at_z_m), opening_m, cloud)
 
     def _describe(self, motion: Trajectory) -> str:
         tip = self.cell.fingertips(motion.end)[:3, 3]
