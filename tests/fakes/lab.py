@@ -1,4 +1,4 @@
-"""A lab that is the simulator: the interfaces of ur_rtde, of the gripper's socket and of pyrealsense2 over one MuJoCo world."""
+"""A lab that is the simulator: the interfaces of ur_rtde, the gripper's socket and pyrealsense2 over a MuJoCo world."""
 
 from __future__ import annotations
 
@@ -138,11 +138,9 @@ class FakeLab:
             raise RuntimeError("Could not connect to: lab at 30004, verify the IP")
 
     def method(self, name: str) -> Callable[..., Any]:
-        function = getattr(self, name)
-
         def call(_self: Any, *args: Any) -> Any:
             with self.gripper.lock:
-                return function(*args)
+                return getattr(self, name)(*args)
 
         return call
 
@@ -169,8 +167,7 @@ class FakeLab:
 
     def control_servoStop(self, deceleration: float) -> bool:  # noqa: N802
         self.stops += 1
-        if self._last is not None and self.running:
-            self.world.command(self._last, np.zeros(6))
+        self.world.command(self.world.joints(), np.zeros(6))
         self._last = None
         return True
 

@@ -81,13 +81,10 @@ class FakeGripperServer:
         self.ending, self.pieces, self.delay_s = b"\n", 1, 0.0
         self.lock = threading.RLock()
         self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
         self._closed = False
         self._connections: list[socket.socket] = []
         threading.Thread(target=self._serve, daemon=True).start()
-
-    @property
-    def port(self) -> int:
-        return self._listener.getsockname()[1]
 
     def close(self) -> None:
         self._closed = True

@@ -226,5 +226,5 @@ def test_a_late_reply_is_not_taken_for_the_next(connect, server):
 def test_an_activation_that_never_ends(connect):
     with gripper_server(active=False) as server:
         server.spoil = lambda request, reply: b"STA 1" if reply[:3] == b"STA" else reply
-        with pytest.raises(GripperSilent, match="was not reset within 0.2 s"):
+        with pytest.raises(GripperSilent, match=r"was not reset within 0\.2 s"):
             connect(server).activate(timeout_s=0.2)

@@ -203,7 +203,8 @@ def grasp_in_world(grasp: Grasp, frame: Frame) -> Float | None:
     """Return T_world_tcp (4, 4) of a grasp in a frame's camera coordinates; None where the camera's pose is unknown."""
     if frame.T_world_camera is None:
         return None
-    return frame.T_world_camera @ make_transform(grasp.rotation, grasp.position)
+    with np.errstate(invalid="ignore"):  # what is not finite is refused by `check_grasp`
+        return frame.T_world_camera @ make_transform(grasp.rotation, grasp.position)
 
 
 def _place(p: Float) -> str:

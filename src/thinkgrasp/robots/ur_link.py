@@ -66,8 +66,6 @@ class ArmState:
     """(6,) [rad/s]."""
     wrench: Float
     """(6,) at the TCP [N, Nm]."""
-    T_base_tcp: Float
-    """(4, 4), with the tool that the controller believes in."""
     safety_bits: int
     robot_mode: int
     speed_fraction: float
@@ -128,7 +126,6 @@ class URLink:
                 np.array(receive.getActualQ(), np.float64),
                 np.array(receive.getActualQd(), np.float64),
                 np.array(receive.getActualTCPForce(), np.float64),
-                pose_from_ur(np.array(receive.getActualTCPPose(), np.float64)),
                 int(receive.getSafetyStatusBits()),
                 int(receive.getRobotMode()),
                 float(receive.getTargetSpeedFraction()),
@@ -136,7 +133,7 @@ class URLink:
             )
         except (RuntimeError, ValueError) as error:
             raise Halted("connection_lost", f"the robot at {self._host} cannot be read: {error}") from error
-        if state.q.shape != (6,) or not np.isfinite(state.q).all() or not np.isfinite(state.T_base_tcp).all():
+        if state.q.shape != (6,) or not np.isfinite(state.q).all():
             raise Halted("connection_lost", f"the robot at {self._host} reports joint angles that are none")
         return state
 
@@ -156,6 +153,17 @@ class URLink:
                 "limited by the cell file",
             )
         return refusal
+
+    def tcp_pose(self) -> Float:
+        """Return T_base_tcp (4, 4), with the tool that the controller believes in.
+
+        Raises:
+            Halted: The connection is lost, or the pose is none.
+        """
+        pose = np.array(self._call(self._receive.getActualTCPPose), np.float64)
+        if pose.shape != (6,) or not np.isfinite(pose).all():
+            raise Halted("connection_lost", f"the robot at {self._host} reports a TCP pose that is none")
+        return pose_from_ur(pose)
 
     def tool(self) -> Float | None:
         """Return the controller's T_flange_tcp (4, 4); None where it is only looked at.

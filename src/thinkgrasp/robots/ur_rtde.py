@@ -240,10 +240,10 @@ class URRobot:
         """Look once whether camera, arm and tool agree; nothing moves before they do."""
         if self._checked:
             return
-        state = self.link.state()
+        state, T_base_tcp = self.link.state(), self.link.tcp_pose()
         findings = [
-            agreement.tool_finding(state.q, state.T_base_tcp, self.cell),
-            agreement.kinematics_finding(state.q, state.T_base_tcp, self.link.tool()),
+            agreement.tool_finding(state.q, T_base_tcp, self.cell),
+            agreement.kinematics_finding(state.q, T_base_tcp, self.link.tool()),
             agreement.record_finding(self.record, self.cell),
             agreement.table_finding(frame, self.cell),
             agreement.arm_finding(frame, state.q, self._opening_m, self.motion.world),
