@@ -1,8 +1,8 @@
 """Hand-eye calibration: AX = XB from poses of an arm and of a board, with an error that was not fitted to.
 
 Two arrangements. "fixed": the camera stands still, the board is on the arm's flange; sought is T_base_camera. "hand":
-the camera is on the flange, the board lies still; sought is T_flange_camera. OpenCV's solvers all run, and the one
-whose held-out error is smallest is taken.
+the camera is on the flange, the board lies still; sought is T_flange_camera. OpenCV's solvers all run, the one
+whose held-out error is smallest is taken, and what it finds is refined by least squares over camera and board at once.
 
 References:
     Park and Martin 1994; Horaud and Dornaika 1995; Daniilidis 1999; Tsai and Lenz 1989 (the solvers, in OpenCV).
@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from thinkgrasp.errors import InputError
@@ -37,6 +38,8 @@ TURN_DEG = 15.0
 """Two poses whose arms are turned by less against one another say little about the rotation."""
 SECOND_AXIS_SHARE = 0.05
 """Of all turns that has to be about another axis than the main one."""
+MM_PER_DEG = 9.0
+"""How errors of turn weigh against those of place: a degree moves what is half a metre away by this much."""
 OUTLIER_FACTOR, OUTLIER_MM = 4.0, 5.0
 
 
@@ -98,31 +101,20 @@ def solve(samples: Sequence[Sample], mount: Mount) -> HandEye:
         MissingDependency: OpenCV is not installed.
     """
     check_motions(samples)
-    everything = range(len(samples))
-    best: tuple[float, str, list[tuple[float, float]]] | None = None
-    for solver in SOLVERS:
-        errors: list[tuple[float, float]] = []
-        for i in everything:
-            rest = [samples[k] for k in everything if k != i]
-            X = _solve(rest, mount, solver)
-            if X is None:
-                break
-            errors.append(_error(samples[i], X, _board(rest, X, mount), mount))
-        else:
-            score = float(np.median([mm for mm, _ in errors]))
-            if best is None or score < best[0]:
-                best = score, solver, errors
-    if best is None:
+    arm, seen = _stacks(samples, mount)
+    starts = {name: X for name in SOLVERS if (X := _linear(arm, seen, name)) is not None}
+    if not starts:
         raise InputError("no solver finds the camera's place from these poses; take more, from more different places")
-    _, solver, errors = best
-    X = _solve(samples, mount, solver)
-    if X is None:
-        raise InputError("no solver finds the camera's place from all poses; take more, from more different places")
-    Z = _board(samples, X, mount)
-    fitted = [_error(s, X, Z, mount)[0] for s in samples]
-    held_out = np.array(errors)
+    fits = {name: _places(arm, seen, X) for name, X in starts.items()}
+    solver = min(fits, key=lambda name: float(np.median(_errors(arm, seen, *fits[name])[0])))
+    X, Z = _refined(arm, seen, *fits[solver])
+    held_out = np.empty((2, len(samples)))
+    for i in range(len(samples)):
+        rest = np.arange(len(samples)) != i
+        held_out[:, i] = np.ravel(_errors(arm[i : i + 1], seen[i : i + 1], *_refined(arm[rest], seen[rest], X, Z)))
+    fitted = float(np.median(_errors(arm, seen, X, Z)[0]))
     names = tuple(s.name or str(i + 1) for i, s in enumerate(samples))
-    return HandEye(mount, X, Z, solver, held_out[:, 0], held_out[:, 1], float(np.median(fitted)), names)
+    return HandEye(mount, X, Z, solver, held_out[0], held_out[1], fitted, names)
 
 
 def check_motions(samples: Sequence[Sample]) -> None:
@@ -159,18 +151,25 @@ def check_motions(samples: Sequence[Sample]) -> None:
         )
 
 
-def _solve(samples: Sequence[Sample], mount: Mount, solver: str) -> Float | None:
-    """Return T_base_camera ("fixed") or T_flange_camera ("hand"); None where the solver fails."""
+def _stacks(samples: Sequence[Sample], mount: Mount) -> tuple[Float, Float]:
+    """Return (N, 4, 4) of the arm and of the board as seen, such that seen = X^-1 arm Z.
+
+    With the camera fixed that is T_base_flange; with the camera on the hand, its inverse.
+    """
+    arm = np.stack([s.T_base_flange if mount == "fixed" else invert(s.T_base_flange) for s in samples])
+    return arm, np.stack([s.T_camera_board for s in samples])
+
+
+def _linear(arm: Float, seen: Float, solver: str) -> Float | None:
+    """Return X (4, 4) by one of OpenCV's solvers; None where it fails."""
     cv = opencv()
-    # With the board on the flange, the base takes the flange's part.
-    arm = [s.T_base_flange if mount == "hand" else invert(s.T_base_flange) for s in samples]
-    seen = [s.T_camera_board for s in samples]
+    moved = np.linalg.inv(arm)  # for OpenCV the camera is always on the hand
     try:
         R, t = cv.calibrateHandEye(
-            [T[:3, :3] for T in arm],
-            [T[:3, 3] for T in arm],
-            [T[:3, :3] for T in seen],
-            [T[:3, 3] for T in seen],
+            list(moved[:, :3, :3]),
+            list(moved[:, :3, 3]),
+            list(seen[:, :3, :3]),
+            list(seen[:, :3, 3]),
             method=getattr(cv, SOLVERS[solver]),
         )
     except cv.error:
@@ -182,23 +181,35 @@ def _solve(samples: Sequence[Sample], mount: Mount, solver: str) -> Float | None
     return make_transform(R, np.asarray(t).ravel())
 
 
-def _carried(s: Sample, X: Float, mount: Mount) -> Float:
-    """Return where a sample puts the board on the flange ("fixed") or in the base frame ("hand")."""
-    if mount == "fixed":
-        return invert(s.T_base_flange) @ X @ s.T_camera_board
-    return s.T_base_flange @ X @ s.T_camera_board
+def _places(arm: Float, seen: Float, X: Float) -> tuple[Float, Float]:
+    """Return X and the mean place of the board, which is the same in all samples but for errors."""
+    places = np.linalg.inv(arm) @ X @ seen
+    R = Rotation.from_matrix(places[:, :3, :3]).mean().as_matrix()
+    return X, make_transform(R, np.median(places[:, :3, 3], axis=0))
 
 
-def _board(samples: Sequence[Sample], X: Float, mount: Mount) -> Float:
-    """Return the mean place of the board; it is the same in all samples, but for errors."""
-    places = [_carried(s, X, mount) for s in samples]
-    R = Rotation.from_matrix([T[:3, :3] for T in places]).mean().as_matrix()
-    return make_transform(R, np.median([T[:3, 3] for T in places], axis=0))
+def _refined(arm: Float, seen: Float, X: Float, Z: Float) -> tuple[Float, Float]:
+    """Return camera and board moved to where the sum of the squares of all errors is least."""
+
+    def moved(change: Float) -> tuple[Float, Float]:
+        turns = Rotation.from_rotvec(change[:6].reshape(2, 3)).as_matrix()
+        return X @ make_transform(turns[0], change[6:9]), Z @ make_transform(turns[1], change[9:])
+
+    def errors(change: Float) -> Float:
+        off = _off(arm, seen, *moved(change))
+        turns = np.degrees(Rotation.from_matrix(off[:, :3, :3]).as_rotvec()) * MM_PER_DEG
+        return np.concatenate([off[:, :3, 3] * 1e3, turns]).ravel()
+
+    return moved(least_squares(errors, np.zeros(12), method="lm").x)
 
 
-def _error(s: Sample, X: Float, Z: Float, mount: Mount) -> tuple[float, float]:
-    """Return how far [mm] and how much turned [deg] the board was from where X and Z put it."""
-    arm = s.T_base_flange if mount == "fixed" else invert(s.T_base_flange)
-    expected = invert(X) @ arm @ Z
-    turn = Rotation.from_matrix(expected[:3, :3].T @ s.T_camera_board[:3, :3]).magnitude()
-    return float(np.linalg.norm(expected[:3, 3] - s.T_camera_board[:3, 3])) * 1e3, float(np.degrees(turn))
+def _off(arm: Float, seen: Float, X: Float, Z: Float) -> Float:
+    """Return the boards as seen (N, 4, 4), each in the frame of where X and Z put it."""
+    return np.linalg.inv(np.linalg.inv(X) @ arm @ Z) @ seen
+
+
+def _errors(arm: Float, seen: Float, X: Float, Z: Float) -> tuple[Float, Float]:
+    """Return how far (N,) [mm] and how much turned (N,) [deg] each board was from where X and Z put it."""
+    off = _off(arm, seen, X, Z)
+    turns = np.degrees(Rotation.from_matrix(off[:, :3, :3]).magnitude())
+    return np.linalg.norm(off[:, :3, 3], axis=1) * 1e3, np.atleast_1d(turns)

@@ -30,8 +30,8 @@ OPEN_COUNT, CLOSED_COUNT = 3, 228
 _REPLY = re.compile(rb"\s*([A-Z]{3})[ \t]+(\S+)")
 _ACK = re.compile(rb"\s*ack")
 _QUIET_S = 0.03
-"""After this long without another byte a reply without line end is complete, if it makes sense; from a gripper that once
-ended a line, line ends are waited for."""
+"""After this long without another byte a reply without line end is complete, if it makes sense; from a gripper that
+once ended a line, line ends are waited for."""
 _LONGEST_REPLY = 256
 _ACTIVE = 3
 STILL_HELD_M = 0.006
