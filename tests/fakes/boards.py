@@ -16,7 +16,9 @@ T_BASE_CAMERA = look_at((0.86, 0.05, 0.55), (0.50, 0.0, 0.02))
 T_FLANGE_CAMERA = make_transform(
     Rotation.from_euler("xyz", [8, -12, 95], degrees=True).as_matrix(), [0.03, -0.07, 0.05]
 )
-T_FLANGE_BOARD = make_transform(Rotation.from_euler("xyz", [3, -5, 20], degrees=True).as_matrix(), [0.01, -0.02, 0.06])
+T_FLANGE_BOARD = make_transform(
+    Rotation.from_euler("xyz", [183, -5, 20], degrees=True).as_matrix(), [0.01, -0.02, 0.06]
+)
 T_BASE_BOARD = make_transform(Rotation.from_euler("xyz", [180, 0, 30], degrees=True).as_matrix(), [0.5, 0.05, 0.0])
 
 
