@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 
 import pytest
 from fakes.lab import ScriptedPerson, make_cell
@@ -39,6 +40,22 @@ def test_answers(typed, answer):
     out = io.StringIO()
     assert AtTheKeyboard(io.StringIO(typed), out).allows(MOTION) == answer
     assert "MOVE straight in: 2.0 s. Go?" in out.getvalue()
+
+
+def test_what_was_typed_before_the_question_is_no_answer():
+    """Somebody hits "y" twice: the second one must not let the next motion go."""
+    pytest.importorskip("termios", reason="needs a POSIX terminal")
+    master, slave = os.openpty()
+
+    class Screen(io.StringIO):
+        def write(self, text: str) -> int:
+            if "Go?" in text:
+                os.write(master, b"n\n")
+            return super().write(text)
+
+    with os.fdopen(master, "wb", buffering=0), os.fdopen(slave, "r") as keyboard:
+        os.write(master, b"y\ny\ny\n")
+        assert AtTheKeyboard(keyboard, Screen()).allows(MOTION) == "no"
 
 
 @pytest.mark.parametrize(("typed", "answer"), [("y\n", True), ("n\n", False), ("\n", False), ("", False)])

@@ -161,6 +161,15 @@ def test_a_dry_run_plans_and_moves_nothing(scene):
     ]
 
 
+@pytest.mark.parametrize("state", [{"mode": 3}, {"slider": 0.2}, {"bits": PROTECTIVE}])
+def test_a_dry_run_does_not_need_an_arm_that_could_move(scene, state):
+    for name, value in state.items():
+        setattr(scene.lab, name, value)
+    person = ScriptedPerson()
+    assert scene.robot(person, dry_run=True).execute(scene.grasp(), scene.frame) == Outcome(False, "dry_run")
+    assert person.told[0].startswith("the arm could not move now")
+
+
 def test_speeds_stay_below_the_limits(scene):
     limits = {"limits.joint_speed_rad_s": 0.5, "limits.tcp_speed_m_s": 0.2, "limits.approach_speed_m_s": 0.04}
     robot = scene.robot(cell=limits)

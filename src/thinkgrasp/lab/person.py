@@ -36,6 +36,8 @@ class Person(Protocol):
 class AtTheKeyboard:
     """Asks on a terminal; the end of the input, or anything but a clear yes, is a no.
 
+    What was typed before a question was there is no answer to it, and is thrown away.
+
     Args:
         answers: Where answers come from, a line each.
         questions: Where questions go.
@@ -61,9 +63,21 @@ class AtTheKeyboard:
         print(line, file=self._questions or sys.stderr, flush=True)
 
     def _ask(self, text: str) -> str | None:
+        answers = self._answers or sys.stdin
+        _forget_what_was_typed(answers)
         print(text, end="", file=self._questions or sys.stderr, flush=True)
-        line = (self._answers or sys.stdin).readline()
+        line = answers.readline()
         return line.strip().lower() if line else None
+
+
+def _forget_what_was_typed(answers: TextIO) -> None:
+    try:
+        import termios
+
+        if answers.isatty():
+            termios.tcflush(answers.fileno(), termios.TCIFLUSH)
+    except (ImportError, AttributeError, OSError, ValueError):
+        return  # no terminal, or none that can be emptied
 
 
 class Absent:

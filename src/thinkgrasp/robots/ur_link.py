@@ -25,6 +25,8 @@ PERIOD_S = 0.008
 """Between two positions that are sent, and between two looks at safety status and force."""
 LOOKAHEAD_S, GAIN = 0.1, 300
 """How servoJ smooths and follows; the maker's ranges are 0.03..0.2 s and 100..2000."""
+_UNUSED = (0.5, 0.5)
+"""Speed and acceleration of servoJ, which the controller takes and does not look at."""
 SERVO_STOP_M_S2 = 10.0
 OFF_TRACK_RAD = 0.25
 """A joint that lags behind by more is held up by something."""
@@ -210,7 +212,7 @@ class URLink:
 
     def _step(self, q: Float) -> None:
         started = self._call(self._control.initPeriod)
-        if not self._call(lambda: self._control.servoJ(q.tolist(), 0.0, 0.0, PERIOD_S, LOOKAHEAD_S, GAIN)):
+        if not self._call(lambda: self._control.servoJ(q.tolist(), *_UNUSED, PERIOD_S, LOOKAHEAD_S, GAIN)):
             raise self._lost("it does not take positions any more")
         self._call(lambda: self._control.waitPeriod(started))
 
@@ -265,7 +267,7 @@ class URLink:
             dashboard.unlockProtectiveStop()
             dashboard.disconnect()
             self._control.reuploadScript()
-        except RuntimeError as error:
+        except (RuntimeError, ValueError) as error:
             raise Halted("protective_stop", f"the protective stop cannot be released: {error}") from error
         refusal = self.ready()
         if refusal is not None:

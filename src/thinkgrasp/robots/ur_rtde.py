@@ -105,6 +105,7 @@ class URRobot:
         self._checked = False
         self._moved = False
         self._opening_m = STROKE_M
+        self._cloud = np.zeros((0, 3))
         self.link = URLink(self.cell.robot.host, control=not dry_run, clock=clock)
         try:
             self.gripper = None if dry_run else self._connect_gripper()
@@ -183,7 +184,9 @@ class URRobot:
         if refusal is not None:
             raise _Ended(refusal.reason, refusal.detail)
         not_ready = self.link.ready()
-        if not_ready is not None:
+        if not_ready is not None and self.dry_run:
+            self.person.tell(f"the arm could not move now: {not_ready.detail}")
+        elif not_ready is not None:
             raise Halted(not_ready.reason, not_ready.detail)
         self._check_agreement(frame)
         opening = min(grasp.width_m, STROKE_M)
@@ -192,7 +195,7 @@ class URRobot:
             raise _Ended("unreachable", f"the fingertips' arc would need {retreat * 1e3:.0f} mm of room over the table")
         T_world_tcp = T_world_tcp.copy()
         T_world_tcp[:3, 3] -= retreat * T_world_tcp[:3, 2]
-        cloud = perceived_cloud(frame)
+        self._cloud = cloud = perceived_cloud(frame)
         plan = self.motion.plan_grasp(self.link.state().q, T_world_tcp, opening, cloud)
         if isinstance(plan, str):
             raise _Ended("unreachable", f"no motion to the grasp: {plan}")
@@ -368,7 +371,7 @@ class URRobot:
             try:
                 self.link.unlock()
                 self._open(STROKE_M, "open the gripper and let go of what it may hold")
-                self._go_home(np.zeros((0, 3)))
+                self._go_home(self._cloud)
                 self.halted = None
             except (Halted, _Ended) as again:
                 return halt.reason, f"{halt.detail}; released, but then: {again.detail}"
