@@ -86,7 +86,7 @@ $(VENV)/.sim: $(VENV)/.base
 
 $(VENV)/.test: $(VENV)/.sim
 	@echo "installing what the tests need"
-	@$(PIP) --editable '.[sim,convex,viz,ompl,vlm,graspnet,langsam]' --group test
+	@$(PIP) --editable '.[sim,convex,viz,ompl,vlm,graspnet,langsam,calibration]' --group test
 	@touch $@
 
 $(VENV)/.lint: $(VENV)/.test

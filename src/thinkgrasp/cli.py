@@ -22,8 +22,10 @@ from tyro.conf import Positional, UseAppendAction, arg, subcommand
 
 from thinkgrasp import __version__
 from thinkgrasp.bench_command import BenchCommand
+from thinkgrasp.calibrate_command import CalibrateCommand
 from thinkgrasp.errors import ConfigError, InputError, ThinkGraspError
 from thinkgrasp.outputs import check_writable, make_folder, one_line, write_atomic
+from thinkgrasp.run_command import RunCommand
 from thinkgrasp.stage_options import DEFAULT_STAGES, StageOptions, configure
 
 if TYPE_CHECKING:
@@ -245,6 +247,8 @@ Command = (
     Annotated[GraspCommand, subcommand("grasp")]
     | Annotated[DemoCommand, subcommand("demo")]
     | Annotated[BenchCommand, subcommand("bench")]
+    | Annotated[RunCommand, subcommand("run")]
+    | Annotated[CalibrateCommand, subcommand("calibrate")]
     | Annotated[DoctorCommand, subcommand("doctor")]
     | Annotated[PluginsCommand, subcommand("plugins")]
     | Annotated[PresetsCommand, subcommand("presets")]

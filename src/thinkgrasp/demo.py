@@ -15,6 +15,7 @@ from thinkgrasp.interfaces import Recorder
 from thinkgrasp.loop import END_WORDS
 from thinkgrasp.outputs import write_atomic
 from thinkgrasp.recorder import EpisodeRecorder
+from thinkgrasp.telling import Teller
 from thinkgrasp.types import Decision, Outcome
 from thinkgrasp.viz.live import LiveView
 from thinkgrasp.viz.video import VideoWriter
@@ -98,7 +99,7 @@ def run_demo(
         pipeline = session.pipeline(ORACLE if preset == ORACLE else config)
         recorder = EpisodeRecorder(out, header=header, gripper=pipeline.gripper)
         write_atomic(out / "config.json", to_json(config).encode())
-        recorders: list[Recorder] = [recorder, _Teller(tell)]
+        recorders: list[Recorder] = [recorder, Teller(tell)]
         if options.live_port is not None:
             live = stack.enter_context(LiveView(pipeline.gripper, port=options.live_port))
             recorders.insert(0, live)
@@ -151,21 +152,6 @@ def _visible(scene: PiledScene, goals: tuple[int, ...]) -> tuple[float, ...]:
     for index, T in enumerate(scene.poses):
         world.place(index, T)
     return tuple(visible_fraction(world, default_view(), g) for g in goals)
-
-
-class _Teller:
-    """Says every finished step in one line."""
-
-    def __init__(self, tell: Callable[[str], None]) -> None:
-        self._tell = tell
-        self._step = 0
-
-    def record(self, decision: Decision, outcome: Outcome | None) -> None:
-        self._step += 1
-        plan = decision.plan
-        what = f"{plan.target} ({plan.role})" if plan.found else "nothing"
-        result = "not executed: " + decision.status.replace("_", " ") if outcome is None else outcome.reason
-        self._tell(f"step {self._step}: {what}: {result.replace('_', ' ')}")
 
 
 def _video(out: Path) -> VideoWriter:

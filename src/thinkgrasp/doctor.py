@@ -38,8 +38,9 @@ EXTRAS: dict[str, Extra] = {
     "rerun": Extra("recording episodes for the rerun viewer", False),
     "ompl": Extra("RRT* and other motion planners", True),
     "ray": Extra("benchmarks on several workers", False),
-    "ur": Extra("Universal Robots arms", False),
-    "realsense": Extra("Intel RealSense cameras", False),
+    "ur": Extra("a real UR5e with a Robotiq gripper (run)", True),
+    "realsense": Extra("Intel RealSense cameras (run, calibrate)", True),
+    "calibration": Extra("hand-eye calibration (calibrate)", True),
 }
 
 

@@ -458,4 +458,5 @@ class Outcome:
 
     success: bool
     reason: str
-    """Named reason: "held", "missed", "slipped", "unreachable", "collision"."""
+    """Named reason: "held", "missed", "slipped", "unreachable", "collision"; of a real robot also those of
+    `thinkgrasp.lab.safety.Reason`."""

@@ -25,7 +25,7 @@ class ReachCheck:
     check has done so against every single point. Grasps are looked at best first, until `max_kept` have passed. The
     rest is dropped too: what passes is promised to be reachable, and selection needs only so many to choose from.
 
-    World coordinates are those of the robot's base, z up out of the table.
+    World coordinates are those of the motion's cell, z up out of the table; by default the robot's base is its origin.
 
     Args:
         standoff_m: Length of the straight way in.
@@ -61,7 +61,6 @@ class ReachCheck:
         Raises:
             ConfigError: The frame does not say where the camera is.
         """
-        from thinkgrasp.motion.cell import HOME_RAD
         from thinkgrasp.motion.robotiq_2f85 import STROKE_M
 
         keep = np.zeros(len(grasps), bool)
@@ -79,6 +78,6 @@ class ReachCheck:
         T_camera_tcp[:, :3, 3] = grasps.positions[order]
         opening_m = np.clip(grasps.widths[order].astype(np.float64), 0.0, STROKE_M)
         cloud = apply(T_world_camera, scene.cloud())
-        home = np.array(HOME_RAD)
-        keep[order] = self.motion.reaches(home, T_world_camera @ T_camera_tcp, opening_m, cloud, at_most=self.max_kept)
+        start, T_world_tcp = self.motion.seen_at, T_world_camera @ T_camera_tcp
+        keep[order] = self.motion.reaches(start, T_world_tcp, opening_m, cloud, at_most=self.max_kept)
         return keep

@@ -15,6 +15,7 @@ from thinkgrasp.errors import ConfigError
 from thinkgrasp.motion import ur5e
 from thinkgrasp.motion.cell import HOME_RAD
 from thinkgrasp.motion.collision import CarriedBox, Phase, PlanningWorld
+from thinkgrasp.motion.limits import JointLimits
 from thinkgrasp.motion.ompl_planner import PLANNERS as OMPL_PLANNERS
 from thinkgrasp.motion.ompl_planner import OmplPlanner
 from thinkgrasp.motion.paths import PathBudget, PathPlanner, PathQuery
@@ -79,6 +80,7 @@ class ArmMotion:
             tried.
         lift_m: Length of the straight way up.
         straight_speed: Share of the velocity limit on straight moves.
+        limits: Rates to time motions by; the ranges are always those of the UR5e.
         seen_at: (6,) where the arm is when the camera looks, so that it is no obstacle to itself [rad].
         seed: Of every plan; the same question gets the same answer.
 
@@ -95,6 +97,7 @@ class ArmMotion:
         standoff_m: float = 0.10,
         lift_m: float = 0.15,
         straight_speed: float = 0.5,
+        limits: JointLimits = ur5e.LIMITS,
         seen_at: Sequence[float] = HOME_RAD,
         seed: int = 0,
     ) -> None:
@@ -109,6 +112,7 @@ class ArmMotion:
         self.standoff_m = standoff_m
         self.lift_m = lift_m
         self.straight_speed = straight_speed
+        self.limits = limits
         self.seen_at = np.array(seen_at, np.float64)
         self.seed = seed
 
@@ -128,9 +132,10 @@ class ArmMotion:
         """
         self.world.carry(None)
         self.world.see(cloud_m, self.seen_at)
+        T_base_tcp = self.world.mount.in_base(T_world_tcp)
         reason: NoMotion = "no inverse kinematics"
         for standoff_m in self._standoffs_m:
-            ways = straight_grasps(T_world_tcp[None], np.array([opening_m]), standoff_m, self.lift_m, q_start)
+            ways = straight_grasps(T_base_tcp[None], np.array([opening_m]), standoff_m, self.lift_m, q_start)
             if len(ways) == 0:
                 break
             reason = "approach in collision"
@@ -142,7 +147,7 @@ class ArmMotion:
                 return "no path"
             way = clear[int(np.argmin(np.abs(clear[:, 0] - path[-1]).max(axis=1)))]
             return GraspMotion(
-                time_path(path, ur5e.LIMITS),
+                time_path(path, self.limits),
                 self._straight(way[: ways.at_grasp + 1]),
                 self._straight(way[ways.at_grasp :]),
             )
@@ -173,7 +178,8 @@ class ArmMotion:
         self.world.see(cloud_m, self.seen_at)
         found = np.zeros(len(T_world_tcp), bool)
         for first in range(0, len(found), _BATCH):
-            T, opening = T_world_tcp[first : first + _BATCH], opening_m[first : first + _BATCH]
+            T = self.world.mount.in_base(T_world_tcp[first : first + _BATCH])
+            opening = opening_m[first : first + _BATCH]
             ways = straight_grasps(T, opening, self.standoff_m, self.lift_m, q_start, _COARSE_M)
             for i in np.unique(ways.grasp):
                 found[first + i] = self._has_clear_way(ways.of(i), q_start, T[i], float(opening[i]))
@@ -203,7 +209,7 @@ class ArmMotion:
         self.world.carry(carried)
         self.world.see(cloud_m, self.seen_at)
         path = self._path(q_start, np.reshape(q_goal, (-1, 6)), opening_m)
-        return "no path" if path is None else time_path(path, ur5e.LIMITS)
+        return "no path" if path is None else time_path(path, self.limits)
 
     def plan_to_poses(
         self,
@@ -214,7 +220,8 @@ class ArmMotion:
         carried: CarriedBox | None = None,
     ) -> Trajectory | NoMotion:
         """Plan a transfer that brings the fingertips to any of the poses (N, 4, 4); else like `plan_to`."""
-        q = ur5e.inverse(flange_poses(T_world_tcp, np.full(len(T_world_tcp), opening_m))).reshape(-1, 6)
+        T_base_tcp = self.world.mount.in_base(T_world_tcp)
+        q = ur5e.inverse(flange_poses(T_base_tcp, np.full(len(T_base_tcp), opening_m))).reshape(-1, 6)
         goals = ur5e.LIMITS.nearest_to(q_start, q)
         goals = goals[np.isfinite(goals).all(axis=1)]
         if len(goals) == 0:
@@ -226,7 +233,7 @@ class ArmMotion:
         return self._straight(np.stack([q_start, q_goal]))
 
     def _straight(self, path: Float) -> Trajectory:
-        return time_path(path, ur5e.LIMITS, speed=self.straight_speed)
+        return time_path(path, self.limits, speed=self.straight_speed)
 
     def _free(self, opening_m: float, phase: Phase, q: Float) -> NDArray[np.bool_]:
         return ~self.world.collides(q, opening_m, phase)
@@ -235,13 +242,11 @@ class ArmMotion:
     def _standoffs_m(self) -> tuple[float, float, float]:
         return self.standoff_m, 1.5 * self.standoff_m, 2 * self.standoff_m
 
-    def _has_clear_way(self, ways: StraightGrasps, q_start: Float, T_world_tcp: Float, opening_m: float) -> bool:
+    def _has_clear_way(self, ways: StraightGrasps, q_start: Float, T_base_tcp: Float, opening_m: float) -> bool:
         if any(True for _ in self._clear_ways(ways, opening_m)):
             return True
         for standoff_m in self._standoffs_m[1:]:
-            ways = straight_grasps(
-                T_world_tcp[None], np.array([opening_m]), standoff_m, self.lift_m, q_start, _COARSE_M
-            )
+            ways = straight_grasps(T_base_tcp[None], np.array([opening_m]), standoff_m, self.lift_m, q_start, _COARSE_M)
             if any(True for _ in self._clear_ways(ways, opening_m)):
                 return True
         return False

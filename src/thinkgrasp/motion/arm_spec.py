@@ -1,7 +1,7 @@
 """UR5e with a Robotiq 2F-85 as MuJoCo bodies: the same for planning and for simulated physics.
 
 Bodies sit on the Denavit-Hartenberg frames of `thinkgrasp.motion.ur5e`, links are capsules around the real ones. World
-and base frame coincide. Joints in qpos order: ARM_JOINTS, then GRIPPER_JOINTS.
+and base frame coincide unless a mount says otherwise. Joints in qpos order: ARM_JOINTS, then GRIPPER_JOINTS.
 """
 
 # MuJoCo's bindings carry no types.
@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from thinkgrasp.motion import robotiq_2f85 as linkage
+from thinkgrasp.motion.mount import ArmMount
 from thinkgrasp.motion.ur5e import DH
 
 ARM_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
@@ -27,19 +28,29 @@ _SHOULDER_OFFSET_M, _FOREARM_OFFSET_M = 0.138, 0.007
 """Where upper arm and forearm run beside the frames of shoulder and elbow, along the joint axis."""
 
 
-def add_arm(spec: mujoco.MjSpec) -> None:
+def add_arm(spec: mujoco.MjSpec, mount: ArmMount | None = None) -> None:
     """Add the arm and its gripper to the world body of a spec whose angles are in radians."""
+    mount = mount or ArmMount()
     body = spec.worldbody
-    _capsule(body, (0, 0, 0.0), (0, 0, 0.10), 0.07, _GREY)
+    bx, by, bz = (float(c) for c in mount.T_world_base[:3, 3])
+    turn = ArmMount.yaw(mount.T_world_base) / 2
+    _capsule(body, (bx, by, bz), (bx, by, bz + 0.10), 0.07, _GREY)
     for i, (joint, row, mass) in enumerate(zip(ARM_JOINTS, DH, _LINK_MASSES_KG, strict=True)):
         a, d, alpha = DH[i - 1] if i else (0.0, 0.0, 0.0)
-        body = body.add_body(name=f"{joint}_link", pos=(a, 0, d), quat=(np.cos(alpha / 2), np.sin(alpha / 2), 0, 0))
+        pos, quat = (a, 0, d), (np.cos(alpha / 2), np.sin(alpha / 2), 0, 0)
+        if i == 0:
+            pos, quat = (bx, by, bz), (np.cos(turn), 0, 0, np.sin(turn))
+        body = body.add_body(name=f"{joint}_link", pos=pos, quat=quat)
         body.gravcomp = 1
         body.add_joint(name=joint, type=mujoco.mjtJoint.mjJNT_HINGE, axis=(0, 0, 1), armature=0.1)
         body.explicitinertial = True
         body.mass, body.ipos, body.inertia = mass, (row[0] / 2, 0, row[1] / 2), _link_inertia(mass, row)
         _add_link(body, joint)
-    _add_gripper(body.add_body(name="gripper", pos=(0, 0, DH[5][1])))
+    turn = ArmMount.yaw(mount.T_flange_gripper) / 2
+    palm = body.add_body(
+        name="gripper", pos=(0, 0, DH[5][1] + mount.coupling_m), quat=(np.cos(turn), 0, 0, np.sin(turn))
+    )
+    _add_gripper(palm)
     spec.add_exclude(bodyname1="shoulder_pan_link", bodyname2="world")
     spec.add_exclude(bodyname1="wrist_3_link", bodyname2="wrist_1_link")
     for side in ("right", "left"):

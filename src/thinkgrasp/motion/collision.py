@@ -15,9 +15,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from thinkgrasp.motion.arm_spec import ARM_JOINTS, GRIPPER_JOINTS, add_arm
+from thinkgrasp.motion.arm_spec import ARM_JOINTS, GRIPPER_JOINTS, GROUP, add_arm
 from thinkgrasp.motion.cell import STATICS, StaticBox
 from thinkgrasp.motion.height_map import HeightMap
+from thinkgrasp.motion.mount import ArmMount
 from thinkgrasp.motion.robotiq_2f85 import crank_angle
 
 Float = NDArray[np.float64]
@@ -53,6 +54,7 @@ class PlanningWorld:
         clearance_m: How far transfers keep away from them. The cloud has its clearance in the map of heights, which
             widens everything by one to two spacings.
         map: Where heights are kept, and how finely.
+        mount: Where the arm stands and the gripper sits; by default at the world's origin, right on the flange.
     """
 
     def __init__(
@@ -61,10 +63,12 @@ class PlanningWorld:
         *,
         clearance_m: float = 0.01,
         map: HeightMap | None = None,
+        mount: ArmMount | None = None,
     ) -> None:
         self.statics = tuple(statics)
         self.clearance_m = clearance_m
         self.map = map or HeightMap()
+        self.mount = mount or ArmMount()
         self._heights = np.zeros(self.map.shape)
         self._phase: Phase | None = None
         self._compile(None)
@@ -116,6 +120,29 @@ class PlanningWorld:
             hit[i] = data.ncon > 0
         return hit
 
+    def robot_along(self, q: NDArray[np.floating], opening_m: float, origin: Float, directions: Float) -> Float:
+        """Return how far along rays the robot begins, at one configuration.
+
+        Args:
+            q: (6,) [rad].
+            opening_m: Of the gripper.
+            origin: (3,) where all rays start, world [m].
+            directions: (N, 3), world, of any length but 0.
+
+        Returns:
+            (N,) in lengths of the ray's direction; inf where it misses the robot.
+        """
+        model, data = self._model, self._data
+        data.qpos[self._arm_at], data.qpos[self._gripper_at] = q, crank_angle(opening_m) * self._gripper_signs
+        mujoco.mj_kinematics(model, data)
+        n, group = len(directions), np.zeros((6, 1), np.uint8)
+        group[GROUP] = 1
+        geoms, distances = np.empty((n, 1), np.int32), np.empty((n, 1))
+        flat = np.ascontiguousarray(directions, np.float64).reshape(-1, 1)
+        point = np.array(origin, np.float64).reshape(3, 1)
+        mujoco.mj_multiRay(model, data, point, flat, group, True, -1, geoms, distances, None, n, 1e10)
+        return np.where(geoms[:, 0] >= 0, distances[:, 0], np.inf)
+
     def contacts(self, q: NDArray[np.floating], opening_m: float, phase: Phase = "transfer") -> tuple[str, ...]:
         """Say what touches what at one configuration q (6,) [rad], as "wrist_1_link - mount_pole"."""
         self.collides(np.asarray(q)[None], opening_m, phase)
@@ -129,7 +156,7 @@ class PlanningWorld:
     def _compile(self, carried: CarriedBox | None) -> None:
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
-        add_arm(spec)
+        add_arm(spec, self.mount)
         for geom in spec.geoms:
             if geom.parent.name in _GRIPPER_BODIES:
                 geom.contype, geom.conaffinity = _GRIPPER, _STATIC | _CLOUD

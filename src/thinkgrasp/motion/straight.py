@@ -40,7 +40,7 @@ class StraightGrasps:
 
 
 def straight_grasps(
-    T_world_tcp: Float, opening_m: Float, standoff_m: float, lift_m: float, q_near: Float, spacing_m: float = SPACING_M
+    T_base_tcp: Float, opening_m: Float, standoff_m: float, lift_m: float, q_near: Float, spacing_m: float = SPACING_M
 ) -> StraightGrasps:
     """Find all ways to carry out grasps by straight moves within joint limits, without changing the branch.
 
@@ -48,7 +48,7 @@ def straight_grasps(
     Ways that start nearest to `q_near` come first.
 
     Args:
-        T_world_tcp: (N, 4, 4) grasps.
+        T_base_tcp: (N, 4, 4) grasps, the gripper right on the flange.
         opening_m: (N,) at which the fingertips are where the grasp says [m].
         standoff_m: Length of the way in.
         lift_m: Length of the way up.
@@ -60,7 +60,7 @@ def straight_grasps(
     up = np.concatenate([np.zeros(n_in + 1), lift_m * np.arange(1, n_up + 1) / n_up])
     back = np.concatenate([back, np.zeros(n_up)])
 
-    T = flange_poses(T_world_tcp, opening_m)
+    T = flange_poses(T_base_tcp, opening_m)
     index = np.flatnonzero(np.isfinite(ur5e.inverse(T)[..., 0]).any(axis=1))
     along = np.repeat(T[index][:, None], len(back), axis=1)
     along[:, :, :3, 3] -= back[:, None] * along[:, :, :3, 2]
@@ -93,8 +93,8 @@ def straight_up(q_start: Float, height_m: float) -> Float:
     return path[: 1 + int(np.argmin(np.append(steady, False)))]
 
 
-def flange_poses(T_world_tcp: Float, opening_m: Float) -> Float:
-    """Return T_world_flange (N, 4, 4) for fingertip poses (N, 4, 4) at openings (N,) or () [m]."""
-    T = np.array(T_world_tcp, np.float64)
+def flange_poses(T_base_tcp: Float, opening_m: Float) -> Float:
+    """Return T_base_flange (N, 4, 4) for fingertip poses (N, 4, 4) at openings (N,) or () [m]."""
+    T = np.array(T_base_tcp, np.float64)
     T[:, :3, 3] -= np.reshape(tip_reach(opening_m), (-1, 1)) * T[:, :3, 2]
     return T

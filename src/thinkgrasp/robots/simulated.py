@@ -13,14 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thinkgrasp.errors import InputError
-from thinkgrasp.geometry import apply, deproject, invert, make_transform
+from thinkgrasp.geometry import apply, invert, make_transform
 from thinkgrasp.motion.arm import ArmMotion
 from thinkgrasp.motion.cell import BIN, HOME_RAD
-from thinkgrasp.motion.robotiq_2f85 import PAD_HALF_M, STROKE_M, flange_to_tip, tip_reach
+from thinkgrasp.motion.robotiq_2f85 import PAD_HALF_M, STROKE_M, flange_to_tip
 from thinkgrasp.motion.trajectory import Trajectory, time_path
 from thinkgrasp.motion.ur5e import LIMITS
+from thinkgrasp.robots.pinch import MAX_RETREAT_M, over_bin, perceived_cloud, retreat_for_arc, without_taken
 from thinkgrasp.sim.world import GRIP_FORCE_N, TIMESTEP_S, World
-from thinkgrasp.types import Frame, Grasp, Outcome, Scene
+from thinkgrasp.types import Frame, Grasp, Outcome
 
 Float = NDArray[np.float64]
 
@@ -28,21 +29,10 @@ TICK_S = 0.01
 """Between two commands to the servos, and between two looks at the forces."""
 STOP_FORCE_N = 90.0
 """A motion that presses harder than this on anything but what it holds is stopped."""
-CLEARANCE_M = 0.007
-"""Room that grasps leave between an open finger and the thing."""
-FURTHER_M = 0.005
-"""By how much a thing may be thinner than the grasp takes it for."""
-MAX_RETREAT_M = 0.02
-"""A grasp that would need more to stay above the table is none."""
 CLOSING_M_S = 0.15
 SLIP_M = 0.03
 """What is held may shift by this much in the gripper between two verifications."""
-TABLE_GAP_M = 0.001
-TAKEN_M = 0.06
-"""Points this near beside the fingers are what was taken, and leave with it."""
 WATCH_S = 0.1
-_YAWS = np.arange(12) * np.pi / 6
-_LOWEST_DROP_M, _HIGHEST_DROP_M = 0.22, 0.40
 
 
 @dataclass(frozen=True)
@@ -109,7 +99,7 @@ class SimulatedRobot:
         self.truth = Truth(None, None)
         T_world_tcp = frame.T_world_camera @ make_transform(grasp.rotation, grasp.position)
         opening = min(grasp.width_m, STROKE_M)
-        retreat = self._retreat_for_arc(T_world_tcp, opening)
+        retreat = retreat_for_arc(T_world_tcp, opening)
         if retreat > MAX_RETREAT_M:
             return Outcome(False, "unreachable")
         T_world_tcp[:3, 3] -= retreat * T_world_tcp[:3, 2]
@@ -138,13 +128,12 @@ class SimulatedRobot:
             self._release()
             self._go_home(cloud)
             return Outcome(False, "missed" if grasped is None else "slipped")
-        beside = np.linalg.norm(cloud[:, :2] - T_world_tcp[:2, 3], axis=1) > TAKEN_M
-        return self._deliver(grasped, cloud[beside], float(T_world_tcp[2, 3]))
+        return self._deliver(grasped, without_taken(cloud, T_world_tcp), float(T_world_tcp[2, 3]))
 
     def _deliver(self, held: int, cloud: Float, taken_at_z: float) -> Outcome:
         """Carry what is held to the bin, high enough for all that may hang below the fingers, and let it go."""
         grip = self._grip_point(held)
-        poses = np.stack([_over_bin(yaw, taken_at_z + BIN.height_m + 0.03) for yaw in _YAWS])
+        poses = over_bin(BIN, taken_at_z)
         opening = self.world.opening()
         way = self.motion.plan_to_poses(self.world.joints(), poses, opening, cloud)
         if isinstance(way, str):
@@ -185,19 +174,6 @@ class SimulatedRobot:
         return index in right & left and float(np.linalg.norm(moved)) <= SLIP_M
 
     # -- motion ------------------------------------------------------------------------------------------------------
-
-    def _retreat_for_arc(self, T_world_tcp: Float, opening: float) -> float:
-        """How far the flange has to stay back [m], as the tips reach farther the more they close.
-
-        The grasp is meant for tips in contact; where the thing is a little thinner than thought, they must still not
-        be pushed into the table.
-        """
-        contact = max(opening - 2 * CLEARANCE_M, 0.0)
-        reach = float(tip_reach(contact) - tip_reach(opening))
-        further = float(tip_reach(max(contact - FURTHER_M, 0.0)) - tip_reach(contact))
-        down = -float(T_world_tcp[2, 2])
-        into_table = further * max(down, 0.0) - (float(T_world_tcp[2, 3]) - TABLE_GAP_M)
-        return reach + max(into_table, 0.0)
 
     def _follow(self, trajectory: Trajectory, *, held: int | None = None, guarded: bool = True) -> None:
         """Move along a trajectory; raise Stopped where the robot presses on something."""
@@ -271,23 +247,3 @@ class SimulatedRobot:
             self._watched_s = self.world.time_s
             for watcher in self.watchers:
                 watcher()
-
-
-def _over_bin(yaw: float, z_m: float) -> Float:
-    """Fingertips (4, 4) over the middle of the bin, pointing down."""
-    c, s = np.cos(yaw), np.sin(yaw)
-    R = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
-    z = np.clip(z_m, _LOWEST_DROP_M, _HIGHEST_DROP_M)
-    return make_transform(R, np.array([np.mean(BIN.x_m), np.mean(BIN.y_m), z]))
-
-
-def perceived_cloud(frame: Frame) -> Float:
-    """Return the world points (P, 3) [m] that a frame shows, those of other cameras included.
-
-    Raises:
-        InputError: The frame's camera pose is unknown.
-    """
-    if frame.T_world_camera is None:
-        raise InputError("the camera's pose is needed to plan a motion: T_world_camera is missing in the frame")
-    points = Scene(frame, deproject(frame.depth, frame.camera)).cloud()
-    return np.asarray(apply(frame.T_world_camera, points), np.float64)
