@@ -65,7 +65,7 @@ def lab(monkeypatch) -> Iterator[FakeLab]:
         T_camera_board = invert(T_BASE_CAMERA) @ ur5e.forward(made.world.joints()) @ T_FLANGE_BOARD
         return Frame(photo(BOARD, T_camera_board, seed=made.realsense.rendered), depth.copy(), CAMERA)
 
-    made.realsense.source = look
+    made.realsense.source, made.realsense.camera = look, CAMERA
     for name, module in made.modules().items():
         monkeypatch.setitem(sys.modules, name, module)
     yield made

@@ -93,7 +93,7 @@ class FakeLab:
         self._last: np.ndarray | None = None
         self.gripper = FakeGripperServer(WorldFingers(world))
         self.camera = SimulatedCamera(world, self.view, noise=noise)
-        self.realsense = FakeRealSense(self._look)
+        self.realsense = FakeRealSense(self._look, self.view.intrinsics)
 
     def close(self) -> None:
         self.gripper.close()

@@ -147,7 +147,7 @@ def slowed_to(trajectory: Trajectory, cell: Cell, *, tcp_speed_m_s: float) -> Tr
     steps = int(np.ceil((len(q) - 1) * factor))
     at = np.linspace(0, len(q) - 1, steps + 1)
     slow = np.stack([np.interp(at, np.arange(len(q)), joint) for joint in q.T], axis=1)
-    return Trajectory(np.arange(len(slow)) * PERIOD_S, slow)
+    return Trajectory(np.arange(len(slow), dtype=np.float64) * PERIOD_S, slow)
 
 
 def joint_speed(q: Float) -> float:

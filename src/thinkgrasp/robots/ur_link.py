@@ -91,8 +91,8 @@ class URLink:
 
     def __init__(self, host: str, *, control: bool, clock: Callable[[], float] = time.monotonic) -> None:
         try:
-            import rtde_control
-            import rtde_receive
+            import rtde_control  # pyright: ignore[reportMissingImports]
+            import rtde_receive  # pyright: ignore[reportMissingImports]
         except ModuleNotFoundError as error:
             raise MissingDependency("ur_rtde", "ur", "the Universal Robots arm") from error
         self._host = host
@@ -259,7 +259,7 @@ class URLink:
             Halted: It does not let itself be released.
         """
         try:
-            import dashboard_client
+            import dashboard_client  # pyright: ignore[reportMissingImports]
 
             dashboard: Any = dashboard_client.DashboardClient(self._host)
             dashboard.connect()
