@@ -275,8 +275,12 @@ def make_cell(port: int = 63352, **changes: Any) -> Cell:
 def write_cell(folder: Path, lab: FakeLab, **changes: Any) -> Path:
     """Write cell.json and camera.json of a lab."""
     camera, T = lab.view.intrinsics, lab.view.T_world_camera
-    data = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
-    (folder / "camera.json").write_text(json.dumps({**data, "T_world_camera": T.tolist()}))
+    data: dict[str, Any] = {n: getattr(camera, n) for n in ("width", "height", "fx", "fy", "cx", "cy")}
+    error = {"median": 1.2, "max": 2.5}
+    record: dict[str, Any] = {"mount": "fixed", "T_world_base": np.eye(4).tolist(), "poses": 15, "held_out_mm": error}
+    record["held_out_deg"] = {"median": 0.1, "max": 0.3}
+    data |= {"T_world_camera": T.tolist(), "hand_eye": record}
+    (folder / "camera.json").write_text(json.dumps(data))
     path = folder / "cell.json"
     path.write_text(json.dumps(cell_data(lab.gripper.port, **changes)))
     return path

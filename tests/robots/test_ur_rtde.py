@@ -353,6 +353,19 @@ def test_the_person_says_no_in_the_middle(scene, name):
     assert scene.lab.moved == moved
 
 
+def test_an_arm_that_was_moved_while_the_question_was_open(scene):
+    robot = scene.robot()
+
+    def allow(motion):
+        if motion.name == "to the pre-grasp":
+            scene.world.set_joints(np.array(HOME_RAD) + 0.05, scene.world.opening())
+        return "yes"
+
+    robot.person.allows = allow  # type: ignore[method-assign]
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "jump")
+    assert scene.lab.moved == 0
+
+
 def test_the_person_says_stop(scene):
     robot = scene.robot(ScriptedPerson(["stop"]))
     assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "stopped_by_person")

@@ -98,11 +98,13 @@ class URLink:
         self._host = host
         self._clock = clock
         self._control: Any = None
+        self._receive: Any = None
         try:
-            self._receive: Any = rtde_receive.RTDEReceiveInterface(host, 1 / PERIOD_S)
+            self._receive = rtde_receive.RTDEReceiveInterface(host, 1 / PERIOD_S)
             if control:
                 self._control = rtde_control.RTDEControlInterface(host, 1 / PERIOD_S)
         except RuntimeError as error:
+            self.close()
             raise ConfigError(
                 f"the robot at {host} does not let itself be {'controlled' if control else 'read'}: "
                 f"{error}; it must be "

@@ -21,6 +21,7 @@ from thinkgrasp.lab.journal import Journal
 from thinkgrasp.lab.person import AtTheKeyboard, Motion, Person
 from thinkgrasp.lab.safety import (
     HALTS,
+    START_TOLERANCE_RAD,
     Reason,
     check_grasp,
     check_motion,
@@ -313,6 +314,9 @@ class URRobot:
         not_ready = self.link.ready()
         if not_ready is not None:
             raise Halted(not_ready.reason, not_ready.detail)
+        moved_rad = float(np.abs(self.link.state().q - motion.start).max())
+        if moved_rad > START_TOLERANCE_RAD:
+            raise self._over("jump", f"{name}: the arm was moved by {moved_rad:.3f} rad while the question was open")
         self._moved = True
         try:
             self.link.follow(motion, force_n=self.cell.limits.force_n if felt else None)
