@@ -447,6 +447,19 @@ def test_a_force_above_the_limit_stops_a_motion(scene):
     assert scene.world.joints() == pytest.approx(HOME_RAD, abs=0.02)
 
 
+def test_no_way_home_leaves_the_arm_over_the_bin(scene):
+    robot = scene.robot()
+
+    def allow(motion):
+        if motion.name == "open the gripper over the bin":
+            robot.motion.plan_to = lambda *args: "no path"
+        return "yes"
+
+    robot.person.allows = allow  # type: ignore[method-assign]
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "no_way_home")
+    assert robot.halted == "no_way_home"
+
+
 def test_an_interrupt_from_the_keyboard_stops_the_arm(scene):
     robot = scene.robot()
 

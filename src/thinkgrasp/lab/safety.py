@@ -38,6 +38,7 @@ Reason = Literal[
     "robot_not_ready",
     "connection_lost",
     "off_track",
+    "no_way_home",
     "gripper_silent",
     "gripper_fault",
     "checks_failed",
@@ -48,7 +49,15 @@ Reason = Literal[
 HALTS: frozenset[Reason] = frozenset(
     {
         *("stopped_by_person", "protective_stop", "safeguard_stop", "emergency_stop", "safety_fault"),
-        *("robot_not_ready", "connection_lost", "off_track", "gripper_silent", "gripper_fault", "checks_failed"),
+        *(
+            "robot_not_ready",
+            "connection_lost",
+            "off_track",
+            "no_way_home",
+            "gripper_silent",
+            "gripper_fault",
+            "checks_failed",
+        ),
     }
 )
 """After these nothing moves any more until a person has looked and the run is started anew."""

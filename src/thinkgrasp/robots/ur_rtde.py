@@ -344,11 +344,11 @@ class URRobot:
         q = self.link.state().q
         way = self.motion.plan_to(q, self.cell.home, self._opening_m, cloud)
         if isinstance(way, str):
-            raise Halted("off_track", f"no way leads home ({way}); move the arm home by hand")
+            raise Halted("no_way_home", f"no way leads home ({way}); move the arm home by hand")
         try:
             self._move("home", way, self.cell.limits.tcp_speed_m_s)
         except Pressed as stop:
-            raise Halted("off_track", "the arm pressed on something on its way home; move it home by hand") from stop
+            raise Halted("no_way_home", "the arm pressed on something on its way home; move it there by hand") from stop
 
     def _back_out(self, stop: Pressed, cloud: Float) -> Reason:
         """Leave what the arm pressed on by the way it came, at low speed, then go home."""
