@@ -78,6 +78,7 @@ class FakeLab:
         after: Called with the number of periods that passed; where faults are put in.
         moved: How many positions were sent.
         unlocked: How often a protective stop was released.
+        lag_s: By how much the arm follows late, as servoJ does with its look-ahead.
     """
 
     def __init__(self, world: World, view: CameraView | None = None, *, noise: str | None = "l515") -> None:
@@ -89,6 +90,7 @@ class FakeLab:
         self.periods = self.moved = self.unlocked = self.stops = 0
         self.force_n = 0.0
         self.frozen_clock = False
+        self.lag_s = 0.0
         self.controlled = False
         self._last: np.ndarray | None = None
         self.gripper = FakeGripperServer(WorldFingers(world))
@@ -160,7 +162,9 @@ class FakeLab:
             return False
         self.moved += 1
         now = np.array(q)
-        last = now if self._last is None else self._last
+        last = self.world.joints() if self._last is None else self._last
+        if self.lag_s:
+            now = last + (now - last) * PERIOD_S / self.lag_s
         self.world.command(now, (now - last) / PERIOD_S)
         self._last = now
         return True

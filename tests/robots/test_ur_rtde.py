@@ -111,6 +111,12 @@ def test_delivers_and_asks_before_every_motion(scene):
     assert robot.halted is None
 
 
+def test_an_arm_that_follows_late_delivers_all_the_same(scene):
+    scene.lab.lag_s = 0.1
+    assert scene.robot().execute(scene.grasp(), scene.frame) == Outcome(True, "held")
+    assert scene.is_home()
+
+
 def test_a_grasp_beside_the_thing_misses_and_goes_home(scene):
     assert scene.robot().execute(scene.grasp(y=0.15), scene.frame) == Outcome(False, "missed")
     assert scene.is_home()
