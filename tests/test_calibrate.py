@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 pytest.importorskip("cv2", reason="needs thinkgrasp[calibration]")
 pytest.importorskip("mujoco", reason="needs thinkgrasp[sim]")
 
-from fakes.boards import CAMERA, T_BASE_CAMERA, T_FLANGE_BOARD, photo, turns
+from fakes.boards import CAMERA, T_BASE_BOARD, T_BASE_CAMERA, T_FLANGE_BOARD, T_FLANGE_CAMERA, photo, turns
 from fakes.lab import FakeLab, cell_data
 from PIL import Image
 
@@ -65,7 +66,7 @@ def lab(monkeypatch) -> Iterator[FakeLab]:
         T_camera_board = invert(T_BASE_CAMERA) @ ur5e.forward(made.world.joints()) @ T_FLANGE_BOARD
         return Frame(photo(BOARD, T_camera_board, seed=made.realsense.rendered), depth.copy(), CAMERA)
 
-    made.realsense.source = look
+    made.realsense.source, made.realsense.camera = look, CAMERA
     for name, module in made.modules().items():
         monkeypatch.setitem(sys.modules, name, module)
     yield made
@@ -117,6 +118,23 @@ def test_takes_poses_solves_and_writes_the_camera_file(cli, lab, tmp_path, monke
     assert wrong.code == 1
     assert "NOT WRITTEN: the error is above 10 mm" in wrong.err
     assert not (tmp_path / "camera.json").exists()
+
+
+def test_a_camera_on_the_hand_from_kept_poses_of_an_april_grid(cli, tmp_path):
+    grid = Board("apriltag_grid", 3, 2, marker_m=0.04, gap_m=0.01, dictionary="DICT_APRILTAG_36h11")
+    rng = np.random.default_rng(5)
+    for i, R in enumerate(turns(9, rng, most_deg=30.0)):
+        T_camera_board = make_transform(R, np.array([0.0, 0.0, 0.4]) - R @ [0.07, 0.045, 0.0])
+        T_base_flange = T_BASE_BOARD @ invert(T_camera_board) @ invert(T_FLANGE_CAMERA)
+        pose = {"camera": asdict(CAMERA), "T_base_flange": T_base_flange.tolist()}
+        (tmp_path / f"pose_{i:03d}.json").write_text(json.dumps(pose))
+        Image.fromarray(photo(grid, T_camera_board, seed=i)).save(tmp_path / f"pose_{i:03d}.png")
+    cell = write_cell(tmp_path, **{"camera.mount": "hand"})
+    board = ("--board", "apriltag_grid", "--columns", "3", "--rows", "2", "--marker-mm", "40", "--gap-mm", "10")
+    result = cli("calibrate", "--cell", str(cell), "--poses", str(tmp_path), "--out", str(tmp_path / "o"), *board)
+    assert result.code == 0, result.err
+    assert "in the flange frame" in result.out
+    assert apart_mm(read_pose(tmp_path / "camera.json", "hand"), T_FLANGE_CAMERA) < 3.0
 
 
 def test_poses_without_board_or_of_a_moving_arm_are_not_taken(cli, lab, tmp_path, monkeypatch):

@@ -78,6 +78,7 @@ class FakeLab:
         after: Called with the number of periods that passed; where faults are put in.
         moved: How many positions were sent.
         unlocked: How often a protective stop was released.
+        lag_s: By how much the arm follows late, as servoJ does with its look-ahead.
     """
 
     def __init__(self, world: World, view: CameraView | None = None, *, noise: str | None = "l515") -> None:
@@ -89,11 +90,12 @@ class FakeLab:
         self.periods = self.moved = self.unlocked = self.stops = 0
         self.force_n = 0.0
         self.frozen_clock = False
+        self.lag_s = 0.0
         self.controlled = False
         self._last: np.ndarray | None = None
         self.gripper = FakeGripperServer(WorldFingers(world))
         self.camera = SimulatedCamera(world, self.view, noise=noise)
-        self.realsense = FakeRealSense(self._look)
+        self.realsense = FakeRealSense(self._look, self.view.intrinsics)
 
     def close(self) -> None:
         self.gripper.close()
@@ -160,7 +162,9 @@ class FakeLab:
             return False
         self.moved += 1
         now = np.array(q)
-        last = now if self._last is None else self._last
+        last = self.world.joints() if self._last is None else self._last
+        if self.lag_s:
+            now = last + (now - last) * PERIOD_S / self.lag_s
         self.world.command(now, (now - last) / PERIOD_S)
         self._last = now
         return True
@@ -275,8 +279,12 @@ def make_cell(port: int = 63352, **changes: Any) -> Cell:
 def write_cell(folder: Path, lab: FakeLab, **changes: Any) -> Path:
     """Write cell.json and camera.json of a lab."""
     camera, T = lab.view.intrinsics, lab.view.T_world_camera
-    data = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
-    (folder / "camera.json").write_text(json.dumps({**data, "T_world_camera": T.tolist()}))
+    data: dict[str, Any] = {n: getattr(camera, n) for n in ("width", "height", "fx", "fy", "cx", "cy")}
+    error = {"median": 1.2, "max": 2.5}
+    record: dict[str, Any] = {"mount": "fixed", "T_world_base": np.eye(4).tolist(), "poses": 15, "held_out_mm": error}
+    record["held_out_deg"] = {"median": 0.1, "max": 0.3}
+    data |= {"T_world_camera": T.tolist(), "hand_eye": record}
+    (folder / "camera.json").write_text(json.dumps(data))
     path = folder / "cell.json"
     path.write_text(json.dumps(cell_data(lab.gripper.port, **changes)))
     return path

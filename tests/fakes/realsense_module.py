@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from thinkgrasp.types import Frame
+from thinkgrasp.types import CameraIntrinsics, Frame
 
 
 class RS400(IntEnum):
@@ -37,6 +37,7 @@ class FakeRealSense:
 
     Attributes:
         source: Makes what it sees now.
+        camera: Intrinsics of that; None = looked up in a first frame.
         devices: Names and serial numbers.
         stuck: Frame numbers and times do not go on.
         same: The picture does not change.
@@ -49,6 +50,7 @@ class FakeRealSense:
     """
 
     source: Callable[[], Frame]
+    camera: CameraIntrinsics | None = None
     devices: list[tuple[str, str]] = field(default_factory=lambda: [("Intel RealSense D455", "123")])
     stuck: bool = False
     same: bool = False
@@ -140,7 +142,7 @@ class FakeRealSense:
         return rs
 
     def intrinsics(self) -> Any:
-        c = self.look().camera
+        c = self.camera or self.look().camera
         return SimpleNamespace(
             width=c.width, height=c.height, fx=c.fx, fy=c.fy, ppx=c.cx, ppy=c.cy, model=self.model, coeffs=self.coeffs
         )

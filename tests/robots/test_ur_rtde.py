@@ -111,6 +111,32 @@ def test_delivers_and_asks_before_every_motion(scene):
     assert robot.halted is None
 
 
+def test_a_world_that_is_not_the_robots_base(scene):
+    """The same lab, its world turned by a quarter and moved: cell, camera and bin say so."""
+    T_world_base = np.array([[0.0, -1, 0, 0.2], [1, 0, 0, 0.1], [0, 0, 1, 0], [0, 0, 0, 1]])
+    cell = {
+        "robot.T_world_base": T_world_base.tolist(),
+        "workspace_m": [[-0.58, 0.1, -0.005], [0.62, 1.05, 0.9]],
+        "grasping_m": [[-0.2, 0.32, 0.0], [0.6, 0.88, 0.35]],
+        "table": {"x_m": [-0.6, 0.8], "y_m": [-0.25, 1.15]},
+        "bin": {"x_m": [-0.55, -0.25], "y_m": [0.35, 0.75], "height_m": 0.12},
+        "obstacles": [{"name": "mount_pole", "center_m": [0.2, 1.08, 0.375], "size_m": [0.03, 0.03, 0.75]}],
+    }
+    person = ScriptedPerson()
+    robot = scene.robot(person, cell)
+    frame = replace(scene.frame, T_world_camera=T_world_base @ scene.frame.T_world_camera)
+    assert robot.execute(scene.grasp(), frame) == Outcome(True, "held"), person.told
+    assert scene.world.settle()
+    assert scene.world.in_bin(0)
+    np.testing.assert_allclose(robot.T_world_flange(), T_world_base @ scene.world.flange(), atol=1e-3)
+
+
+def test_an_arm_that_follows_late_delivers_all_the_same(scene):
+    scene.lab.lag_s = 0.1
+    assert scene.robot().execute(scene.grasp(), scene.frame) == Outcome(True, "held")
+    assert scene.is_home()
+
+
 def test_a_grasp_beside_the_thing_misses_and_goes_home(scene):
     assert scene.robot().execute(scene.grasp(y=0.15), scene.frame) == Outcome(False, "missed")
     assert scene.is_home()
@@ -353,6 +379,19 @@ def test_the_person_says_no_in_the_middle(scene, name):
     assert scene.lab.moved == moved
 
 
+def test_an_arm_that_was_moved_while_the_question_was_open(scene):
+    robot = scene.robot()
+
+    def allow(motion):
+        if motion.name == "to the pre-grasp":
+            scene.world.set_joints(np.array(HOME_RAD) + 0.05, scene.world.opening())
+        return "yes"
+
+    robot.person.allows = allow  # type: ignore[method-assign]
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "jump")
+    assert scene.lab.moved == 0
+
+
 def test_the_person_says_stop(scene):
     robot = scene.robot(ScriptedPerson(["stop"]))
     assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "stopped_by_person")
@@ -432,6 +471,19 @@ def test_a_force_above_the_limit_stops_a_motion(scene):
     assert events(robot, "pressed")[0]["name"] == "straight in"
     assert names[-2:] == ["back the way it came", "home"]
     assert scene.world.joints() == pytest.approx(HOME_RAD, abs=0.02)
+
+
+def test_no_way_home_leaves_the_arm_over_the_bin(scene):
+    robot = scene.robot()
+
+    def allow(motion):
+        if motion.name == "open the gripper over the bin":
+            robot.motion.plan_to = lambda *args: "no path"
+        return "yes"
+
+    robot.person.allows = allow  # type: ignore[method-assign]
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "no_way_home")
+    assert robot.halted == "no_way_home"
 
 
 def test_an_interrupt_from_the_keyboard_stops_the_arm(scene):

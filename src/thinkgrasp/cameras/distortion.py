@@ -83,10 +83,10 @@ class Rectifier:
         if self._source is None:
             return image
         planes = [ndimage.map_coordinates(image[..., c], self._source, order=1, cval=0) for c in range(3)]
-        return np.stack(planes, axis=-1)
+        return np.stack(planes, axis=-1).astype(np.uint8)
 
     def depth(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return depth (H, W) [m] as a pinhole would see it, without mixing near and far; 0 where nothing was seen."""
         if self._source is None:
             return image
-        return ndimage.map_coordinates(image, self._source, order=0, cval=0.0)
+        return np.asarray(ndimage.map_coordinates(image, self._source, order=0, cval=0.0), np.float32)

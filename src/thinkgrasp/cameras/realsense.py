@@ -241,7 +241,7 @@ class RealSenseCamera:
 
 def _sdk() -> Any:
     try:
-        import pyrealsense2
+        import pyrealsense2  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError as error:
         raise MissingDependency("pyrealsense2", "realsense", "the RealSense camera") from error
     except ImportError as error:

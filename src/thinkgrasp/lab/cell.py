@@ -222,7 +222,7 @@ class Cell(_Part):
     def height_map(self) -> HeightMap:
         """Where the perceived cloud is looked at: under the workspace."""
         (x0, y0, _), (x1, y1, z1) = self.workspace_m
-        return HeightMap((x0, x1), (y0, y1), highest_m=max(z1, 0.1))
+        return HeightMap((x0, x1), (y0, y1), highest_m=float(np.clip(z1, 0.1, 1.0)))
 
     @property
     def joint_limits(self) -> JointLimits:

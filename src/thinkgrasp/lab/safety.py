@@ -38,6 +38,7 @@ Reason = Literal[
     "robot_not_ready",
     "connection_lost",
     "off_track",
+    "no_way_home",
     "gripper_silent",
     "gripper_fault",
     "checks_failed",
@@ -48,7 +49,15 @@ Reason = Literal[
 HALTS: frozenset[Reason] = frozenset(
     {
         *("stopped_by_person", "protective_stop", "safeguard_stop", "emergency_stop", "safety_fault"),
-        *("robot_not_ready", "connection_lost", "off_track", "gripper_silent", "gripper_fault", "checks_failed"),
+        *(
+            "robot_not_ready",
+            "connection_lost",
+            "off_track",
+            "no_way_home",
+            "gripper_silent",
+            "gripper_fault",
+            "checks_failed",
+        ),
     }
 )
 """After these nothing moves any more until a person has looked and the run is started anew."""
@@ -147,7 +156,7 @@ def slowed_to(trajectory: Trajectory, cell: Cell, *, tcp_speed_m_s: float) -> Tr
     steps = int(np.ceil((len(q) - 1) * factor))
     at = np.linspace(0, len(q) - 1, steps + 1)
     slow = np.stack([np.interp(at, np.arange(len(q)), joint) for joint in q.T], axis=1)
-    return Trajectory(np.arange(len(slow)) * PERIOD_S, slow)
+    return Trajectory(np.arange(len(slow), dtype=np.float64) * PERIOD_S, slow)
 
 
 def joint_speed(q: Float) -> float:

@@ -28,8 +28,8 @@ LOOKAHEAD_S, GAIN = 0.1, 300
 _UNUSED = (0.5, 0.5)
 """Speed and acceleration of servoJ, which the controller takes and does not look at."""
 SERVO_STOP_M_S2 = 10.0
-OFF_TRACK_RAD = 0.25
-"""A joint that lags behind by more is held up by something."""
+OFF_TRACK_RAD = 0.30
+"""A joint that lags behind by more is held up by something; at the highest speed the look-ahead alone makes 0.21."""
 AT_GOAL_RAD, AT_REST_RAD_S = 0.01, 0.02
 SETTLE_S = 2.0
 STALE_S = 0.25
@@ -91,18 +91,20 @@ class URLink:
 
     def __init__(self, host: str, *, control: bool, clock: Callable[[], float] = time.monotonic) -> None:
         try:
-            import rtde_control
-            import rtde_receive
+            import rtde_control  # pyright: ignore[reportMissingImports]
+            import rtde_receive  # pyright: ignore[reportMissingImports]
         except ModuleNotFoundError as error:
             raise MissingDependency("ur_rtde", "ur", "the Universal Robots arm") from error
         self._host = host
         self._clock = clock
         self._control: Any = None
+        self._receive: Any = None
         try:
-            self._receive: Any = rtde_receive.RTDEReceiveInterface(host, 1 / PERIOD_S)
+            self._receive = rtde_receive.RTDEReceiveInterface(host, 1 / PERIOD_S)
             if control:
                 self._control = rtde_control.RTDEControlInterface(host, 1 / PERIOD_S)
         except RuntimeError as error:
+            self.close()
             raise ConfigError(
                 f"the robot at {host} does not let itself be {'controlled' if control else 'read'}: "
                 f"{error}; it must be "
@@ -259,7 +261,7 @@ class URLink:
             Halted: It does not let itself be released.
         """
         try:
-            import dashboard_client
+            import dashboard_client  # pyright: ignore[reportMissingImports]
 
             dashboard: Any = dashboard_client.DashboardClient(self._host)
             dashboard.connect()

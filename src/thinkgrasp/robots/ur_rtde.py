@@ -21,6 +21,7 @@ from thinkgrasp.lab.journal import Journal
 from thinkgrasp.lab.person import AtTheKeyboard, Motion, Person
 from thinkgrasp.lab.safety import (
     HALTS,
+    START_TOLERANCE_RAD,
     Reason,
     check_grasp,
     check_motion,
@@ -313,6 +314,9 @@ class URRobot:
         not_ready = self.link.ready()
         if not_ready is not None:
             raise Halted(not_ready.reason, not_ready.detail)
+        moved_rad = float(np.abs(self.link.state().q - motion.start).max())
+        if moved_rad > START_TOLERANCE_RAD:
+            raise self._over("jump", f"{name}: the arm was moved by {moved_rad:.3f} rad while the question was open")
         self._moved = True
         try:
             self.link.follow(motion, force_n=self.cell.limits.force_n if felt else None)
@@ -340,11 +344,11 @@ class URRobot:
         q = self.link.state().q
         way = self.motion.plan_to(q, self.cell.home, self._opening_m, cloud)
         if isinstance(way, str):
-            raise Halted("off_track", f"no way leads home ({way}); move the arm home by hand")
+            raise Halted("no_way_home", f"no way leads home ({way}); move the arm home by hand")
         try:
             self._move("home", way, self.cell.limits.tcp_speed_m_s)
         except Pressed as stop:
-            raise Halted("off_track", "the arm pressed on something on its way home; move it home by hand") from stop
+            raise Halted("no_way_home", "the arm pressed on something on its way home; move it there by hand") from stop
 
     def _back_out(self, stop: Pressed, cloud: Float) -> Reason:
         """Leave what the arm pressed on by the way it came, at low speed, then go home."""
