@@ -11,6 +11,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs thinkgrasp[graspnet]")
 
+from fakes import two_views  # noqa: E402
 from fakes.grasp_networks import random_weights, save, table_cloud  # noqa: E402
 
 from thinkgrasp import registry  # noqa: E402
@@ -94,6 +95,26 @@ def test_the_network_sees_the_crop_with_its_surroundings(weights):
     height = scene.support.height(heard.cloud)
     assert (np.abs(height) < 0.005).mean() > 0.2, "the table stays in"
     assert grasps.scores.tolist() == sorted(grasps.scores, reverse=True)
+
+
+def test_the_network_sees_what_other_cameras_saw_and_starts_on_the_things_other_sides(weights):
+    fused = two_views.scene()
+    alone = replace(fused, frame=replace(fused.frame, others=None))
+    crop = two_views.thing(fused, "red").mask
+    clouds, starts = [], []
+    for scene in (alone, fused):
+        generator = ListeningGenerator(weights=weights, device="cpu", num_point=60_000)
+        generator.generate(scene, crop, GRIPPER, rng())
+        T = scene.frame.T_world_camera
+        clouds.append(apply(T, np.unique(generator._network.cloud, axis=0)))
+        starts.append(apply(T, np.unique(generator._network.cloud[generator._network.wanted], axis=0)))
+    back = [(np.abs(s[:, 1] - two_views.BOX_M[1] / 2) < 0.004) & (s[:, 2] < 0.09) for s in starts]
+    assert back[0].sum() == 0
+    assert back[1].sum() > 50, "seeds on the back of the box"
+    behind = [((c[:, 1] > 0.03) & (np.abs(c[:, 0] + 0.05) < 0.03) & (c[:, 2] > 0.01)).sum() for c in clouds]
+    assert behind[0] < 20 < 100 < behind[1], "the hidden box is in the network's cloud"
+    beyond = [int((s[:, 1] > 0.035).sum()) for s in starts]
+    assert beyond[1] <= beyond[0] + 3, "but no grasp starts on it"
 
 
 def test_the_workspace_mask_holds(weights):

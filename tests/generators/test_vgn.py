@@ -10,16 +10,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fakes import two_views
 from fakes.networks import untrained_vgn
 
 torch = pytest.importorskip("torch", reason="needs thinkgrasp[graspnet]")
 
 from thinkgrasp.errors import ConfigError, MissingDependency  # noqa: E402
+from thinkgrasp.generators import vgn as generator_module  # noqa: E402
 from thinkgrasp.generators.vgn import VgnGenerator  # noqa: E402
 from thinkgrasp.generators.vgn_antipodal import VgnAntipodalGenerator  # noqa: E402
 from thinkgrasp.geometry import deproject  # noqa: E402
 from thinkgrasp.gripper import GRIPPERS  # noqa: E402
 from thinkgrasp.networks import vgn  # noqa: E402
+from thinkgrasp.networks.tsdf import fuse  # noqa: E402
 from thinkgrasp.testing import sample_scene, strict_scene  # noqa: E402
 from thinkgrasp.types import Frame, Grasps, Scene, SupportPlane  # noqa: E402
 
@@ -316,3 +319,23 @@ def test_the_scene_is_left_as_it_was(weights):
     np.testing.assert_array_equal(scene.points, before[0])
     np.testing.assert_array_equal(scene.frame.depth, before[1])
     assert scene.support is None
+
+
+@pytest.mark.parametrize(("good", "views"), [(True, 2), (False, 1)])
+def test_all_views_that_agree_are_in_the_networks_field(weights, monkeypatch, good, views):
+    scene = two_views.scene()
+    others = replace(scene.frame.others, agrees=(good,))
+    scene = replace(scene, frame=replace(scene.frame, others=others))
+    fused: list[tuple[int, np.ndarray]] = []
+
+    def listening(depth, cameras, T_camera_task, **options):
+        fused.append((len(depth), T_camera_task))
+        return fuse(depth, cameras, T_camera_task, **options)
+
+    monkeypatch.setattr(generator_module, "fuse", listening)
+    generate(VgnGenerator(weights=weights, n_yaws=1), scene, two_views.thing(scene, "red").mask)
+    assert {n for n, _ in fused} == {views}
+    if good:
+        T = [view.T_world_camera for view in (scene.frame, *others.frames)]
+        corners = [T[i] @ fused[0][1][i] for i in range(2)]
+        assert np.allclose(corners[0], corners[1]), "one cube, seen by both"
