@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -75,7 +76,7 @@ class _MethodModel(BaseModel):
 class _PlanModel(BaseModel):
     model_config = ConfigDict(extra="forbid", populate_by_name=True)
 
-    schema_: str = Field("thinkgrasp/benchmark-1", alias="schema", pattern="^thinkgrasp/benchmark-1$")
+    schema_: Annotated[Literal["thinkgrasp/benchmark-1"], Field(alias="schema")] = "thinkgrasp/benchmark-1"
     suite: str
     cases: str | None
     objects: str | None

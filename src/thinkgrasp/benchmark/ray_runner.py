@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 from thinkgrasp.benchmark.plan import BenchmarkPlan
 from thinkgrasp.benchmark.records import EpisodeRecord, Record, SceneRecord
@@ -28,6 +28,7 @@ def ray_workers(address: str) -> Source:
     """
     try:
         import ray
+        from ray.exceptions import RayError
     except ModuleNotFoundError as error:
         raise MissingDependency("ray", "ray", "running a benchmark on a cluster") from error
     environment = {"env_vars": dict.fromkeys(THREAD_VARIABLES, "1")}
@@ -48,13 +49,14 @@ def ray_workers(address: str) -> Source:
                 while groups and len(running) < slots:
                     group = groups.popleft()
                     running[remote.remote(shared, group)] = group
-                (ready,), _ = ray.wait(list(running), num_returns=1)
+                found, _ = ray.wait(list(running), num_returns=1)
+                ready: Any = found[0]
                 group = running.pop(ready)
                 try:
-                    record: Record = ray.get(next(ready))
+                    record = cast(Record, ray.get(next(ready)))
                 except StopIteration:
                     continue
-                except ray.exceptions.RayError as error:
+                except RayError as error:
                     yield Died(group, f"its worker was lost: {str(error).strip().splitlines()[-1]}")
                     continue
                 if isinstance(record, SceneRecord):

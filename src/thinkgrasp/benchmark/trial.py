@@ -88,13 +88,15 @@ class _Observer:
         """Keep a finished step."""
         passed, session = time.perf_counter() - self._since, self._session
         looked_from, timings = decision.scene.frame.T_world_camera, dict(decision.timings_ms)
-        view = next(i for i, v in enumerate(session.views) if np.array_equal(v.T_world_camera, looked_from))
+        poses = [view.T_world_camera for view in session.views]
+        view = next(i for i, T in enumerate(poses) if looked_from is not None and np.array_equal(T, looked_from))
         aimed = _aimed(decision, self._labels[view])
         judged = self._truth.judge(aimed, view)
         is_chosen = decision.status == "grasp"
         attempt = session.robot.attempts[-1] if outcome is not None else None
         touched = attempt.truth.touched if attempt else None
         delivered = attempt.truth.delivered if attempt else None
+        taken = {index for index in (touched, delivered) if index is not None}
         seen = max(int(np.count_nonzero(labels == goal)) for goal in session.goals for labels in self._labels)
         self._step += 1
         self._emit(
@@ -116,7 +118,7 @@ class _Observer:
                 is_goal_touched=touched in session.goals,
                 is_goal_delivered=delivered in session.goals,
                 moved_out=tuple(self._name(i) for i in attempt.moved_out) if attempt else (),
-                toppled=tuple(self._name(i) for i in toppled(self._poses, session.world.poses(), {touched, delivered})),
+                toppled=tuple(self._name(i) for i in toppled(self._poses, session.world.poses(), taken)),
                 degraded=tuple(f"{d.stage}: {d.fallback}" for d in decision.degraded),
                 timings_ms=tuple((stage, round(ms, 2)) for stage, ms in decision.timings_ms),
                 seconds=round(passed - timings["total"] / 1e3, 4),
