@@ -2,6 +2,7 @@
 # make test    all tests, in a fresh .venv
 # make lint    ruff and pyright
 # make bench-loop  closed-loop episodes and single grasps in simulation (about an hour; see docs/measurements.md)
+# make fuzz    thousands of requests to the HTTP server, made from its own schema (some minutes)
 # make bench   speed and memory stage by stage, perception and language on rendered scenes;
 #              FRAMES=DIR adds the real frames of a folder (see docs/measurements.md)
 
@@ -11,7 +12,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST_ARGS ?= -n auto --dist loadfile
 
-.PHONY: help demo test lint bench bench-loop browser clean
+.PHONY: help demo test lint bench bench-loop fuzz browser clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -42,6 +43,9 @@ ifdef FRAMES
 	$(BIN)/python benchmarks/leave_one_out.py $(FRAMES)
 	$(BIN)/python benchmarks/stability.py $(FRAMES)
 endif
+
+fuzz: $(VENV)/.test
+	$(BIN)/python -m pytest tests/server/test_fuzz.py -m fuzz -s
 
 bench-loop: $(VENV)/.test
 	$(BIN)/python benchmarks/grasping.py
@@ -79,7 +83,7 @@ $(VENV)/.sim: $(VENV)/.base
 
 $(VENV)/.test: $(VENV)/.sim
 	@echo "installing what the tests need"
-	@$(PIP) --editable '.[sim,convex,viz,ompl,vlm,graspnet,langsam]' --group test
+	@$(PIP) --editable '.[sim,convex,viz,ompl,vlm,graspnet,langsam,server]' --group test
 	@touch $@
 
 $(VENV)/.lint: $(VENV)/.test

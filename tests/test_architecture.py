@@ -37,6 +37,7 @@ ORDER = [
     ["testing"],
     ["doctor", "summary", "stage_options"],
     ["server"],
+    ["serve_command"],
     ["cli"],
 ]
 """Lowest first; parts on one line must not import one another."""

@@ -23,6 +23,7 @@ from tyro.conf import Positional, arg, subcommand
 from thinkgrasp import __version__
 from thinkgrasp.errors import ConfigError, InputError, ThinkGraspError
 from thinkgrasp.outputs import check_writable, make_folder, one_line, write_atomic
+from thinkgrasp.serve_command import ServeCommand
 from thinkgrasp.stage_options import DEFAULT_STAGES, StageOptions, configure
 
 if TYPE_CHECKING:
@@ -229,6 +230,7 @@ class PresetsCommand:
 Command = (
     Annotated[GraspCommand, subcommand("grasp")]
     | Annotated[DemoCommand, subcommand("demo")]
+    | Annotated[ServeCommand, subcommand("serve")]
     | Annotated[DoctorCommand, subcommand("doctor")]
     | Annotated[PluginsCommand, subcommand("plugins")]
     | Annotated[PresetsCommand, subcommand("presets")]
@@ -268,7 +270,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, BUG, f"{message} (this is a bug; --debug shows where)", debug=debug)
 
 
-def _parse(args: list[str]) -> GraspCommand | DemoCommand | DoctorCommand | PluginsCommand | PresetsCommand | int:
+def _parse(
+    args: list[str],
+) -> GraspCommand | DemoCommand | ServeCommand | DoctorCommand | PluginsCommand | PresetsCommand | int:
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):
@@ -356,7 +360,7 @@ def _print_decision(decision: Decision, *, as_json: bool) -> None:
         return
     from thinkgrasp.summary import print_summary
 
-    print_summary(model, decision, sys.stdout)
+    print_summary(model, dict(decision.timings_ms), sys.stdout)
 
 
 def _encodable(text: str) -> str:

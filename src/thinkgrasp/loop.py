@@ -192,3 +192,20 @@ def _remember(memory: Memory, decision: Decision, outcome: Outcome) -> Memory:
         return memory
     memory = memory.seen_from(scene.frame.T_world_camera)
     return memory.remember(Attempt(plan.target, plan.cell, decision.grasp, np.asarray(center, np.float64), outcome))
+
+
+def decide_on_view(
+    frame: Frame, decide: Callable[[Frame, Memory], Decision], memory: Memory
+) -> tuple[Decision, Memory]:
+    """Decide as one step of `run_episode` does with one camera, and return the memory with what had no grasp."""
+    return _decide(frame, (), decide, memory)
+
+
+def remember(memory: Memory, decision: Decision, outcome: Outcome) -> Memory:
+    """Return the memory with this attempt, as `run_episode` keeps it; unchanged where its place is not known."""
+    return _remember(memory, decision, outcome)
+
+
+def is_undone(decision: Decision, after: Frame) -> bool:
+    """Whether a later frame of the same view shows what was said to be removed where it was."""
+    return _same_view(decision.scene.frame, after) and is_still_there(decision, after)
