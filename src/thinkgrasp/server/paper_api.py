@@ -11,8 +11,9 @@ import os
 import stat
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from starlette.requests import Request
 
 from thinkgrasp.server.decoding import FrameUpload
@@ -111,9 +112,13 @@ def read_inside(root: Path, given: str, name: str, max_bytes: int) -> bytes:
 
 def published_pose(pose: Pose) -> PaperPose:
     """Return a grasp as the paper's server does."""
-    rows: Any = [[round(float(v), 9) for v in row] for row in pose.rot]
-    xyz: Any = [round(float(v), 6) for v in pose.xyz]
-    return PaperPose(xyz=tuple(xyz), rot=tuple(map(tuple, rows)), dep=round(pose.dep, 6))
+    a, b, c = map(_triple, pose.rot)
+    return PaperPose(xyz=_triple(pose.xyz), rot=(a, b, c), dep=round(pose.dep, 9))
+
+
+def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    x, y, z = (round(float(v), 9) for v in values)
+    return x, y, z
 
 
 def _bad(message: str) -> RequestProblem:

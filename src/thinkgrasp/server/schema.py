@@ -129,6 +129,10 @@ class ExplainedDecision(_Model):
     view_html: str
     """The 3-D view, one page that needs no network."""
 
+    def overlay_bytes(self) -> bytes:
+        """Return the annotated picture as a PNG file's content."""
+        return base64.b64decode(self.overlay_png)
+
 
 class EpisodeAnswer(_Model):
     """Where an episode stands, and what it waits for."""

@@ -51,20 +51,7 @@ def serve(
         problems.append(message)
         server.should_exit = True
 
-    server = uvicorn.Server(
-        uvicorn.Config(
-            make_app(recipe, options, on_unloadable=give_up),  # type: ignore[arg-type]
-            http=bounded_protocol(options.limits.header_timeout_s, options.limits.connections),
-            ws="none",
-            lifespan="on",
-            log_config=None,
-            access_log=False,
-            proxy_headers=False,
-            server_header=False,
-            timeout_keep_alive=int(max(1, options.limits.keep_alive_s)),
-            timeout_graceful_shutdown=GRACEFUL_S,
-        )
-    )
+    server = make_server(recipe, options, on_unloadable=give_up)
     logs.set_up(sys.stderr)
     bound = listener.getsockname()[1]
     name = f"[{host}]" if ":" in host else host
@@ -77,6 +64,27 @@ def serve(
     if problems:
         raise ConfigError(problems[0])
     logs.log("stopped")
+
+
+def make_server(
+    recipe: Recipe, options: ServerOptions, *, on_unloadable: Callable[[str], None] = lambda message: None
+) -> uvicorn.Server:
+    """Return a server that is not running yet; `run(sockets=[...])` runs it, `should_exit` stops it."""
+    limits = options.limits
+    return uvicorn.Server(
+        uvicorn.Config(
+            make_app(recipe, options, on_unloadable=on_unloadable),  # type: ignore[arg-type]
+            http=bounded_protocol(limits.header_timeout_s, limits.connections),
+            ws="none",
+            lifespan="on",
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            timeout_keep_alive=int(max(1, limits.keep_alive_s)),
+            timeout_graceful_shutdown=GRACEFUL_S,
+        )
+    )
 
 
 def _listen(host: str, port: int) -> socket.socket:

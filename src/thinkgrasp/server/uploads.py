@@ -148,11 +148,13 @@ async def _raw_parts(request: Request, body: bytes) -> dict[str, str | bytes]:
     except (UnicodeError, ValueError, LookupError):
         raise RequestProblem(400, "bad_multipart", "the multipart body cannot be read") from None
     parts: dict[str, str | bytes] = {}
-    for name, value in form.multi_items():
-        if name in parts:
-            raise RequestProblem(400, "bad_multipart", "a part occurs twice")
-        parts[name] = await value.read() if isinstance(value, UploadFile) else value
-    await form.close()
+    try:
+        for name, value in form.multi_items():
+            if name in parts:
+                raise RequestProblem(400, "bad_multipart", "a part occurs twice")
+            parts[name] = await value.read() if isinstance(value, UploadFile) else value
+    finally:
+        await form.close()
     if not parts:
         raise RequestProblem(400, "bad_multipart", "the multipart body holds no part")
     return parts

@@ -16,6 +16,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Protocol
 
@@ -197,7 +198,7 @@ class ProcessWorker:
     def __init__(self, recipe: Recipe, limits: Limits) -> None:
         self._recipe = recipe
         self._limits = limits
-        self._process: multiprocessing.process.BaseProcess | None = None
+        self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
         self._usable = False
 
@@ -210,8 +211,8 @@ class ProcessWorker:
         self.close()
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, self._recipe), daemon=True)
-        self._process.start()
+        self._process = process = context.Process(target=_serve, args=(theirs, self._recipe), daemon=True)
+        process.start()
         theirs.close()
         try:
             said = self._pipe.recv()
