@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 import json
-import os
 import socket
 import threading
 import time
@@ -15,17 +14,16 @@ from dataclasses import dataclass, replace
 
 import httpx
 import numpy as np
-from fakes.stages import FakeGenerator, FakePlanner, fake_pipeline
+from fakes.told_stages import told_pipeline
 from PIL import Image
 
-from thinkgrasp.config import PipelineConfig, StageConfig, load_config
-from thinkgrasp.pipeline import Pipeline
+from thinkgrasp.config import StageConfig, load_config
 from thinkgrasp.server.app import ServerOptions
 from thinkgrasp.server.client import frame_parts
 from thinkgrasp.server.limits import Limits
 from thinkgrasp.server.serving import make_server
 from thinkgrasp.server.workers import Recipe
-from thinkgrasp.types import Frame, Usage
+from thinkgrasp.types import Frame
 
 TOKEN = "correct-horse-battery-staple"
 
@@ -71,42 +69,9 @@ def offline_recipe(limits: Limits | None = None) -> Recipe:
 
 
 def told_recipe(**orders: object) -> Recipe:
-    """A recipe whose fake stages carry orders out: see `told_pipeline`."""
+    """A recipe whose fake stages carry orders out: see `fakes.told_stages`."""
     config = replace(load_config("offline"), planner=StageConfig("told", orders))
     return Recipe(config, Limits().pixels, make=told_pipeline)
-
-
-def told_pipeline(config: PipelineConfig) -> Pipeline:
-    """Stages of `fakes.stages`, with orders in the instruction, such as "red sleep" or "red crash"."""
-    orders = dict(config.planner.settings)
-    return fake_pipeline(planner=ToldPlanner(**orders), generator=ToldGenerator())
-
-
-class ToldPlanner(FakePlanner):
-    def __init__(self, sleep_s: float = 30.0, usd: float = 0.0) -> None:
-        super().__init__()
-        self.sleep_s = sleep_s
-        self.usd = usd
-
-    def plan(self, scene, instruction, memory):
-        if "nap" in instruction:
-            time.sleep(0.3)
-        if "sleep" in instruction:
-            time.sleep(self.sleep_s)
-        if "crash" in instruction:
-            os._exit(11)
-        if "bug" in instruction:
-            raise ZeroDivisionError("/secret/path/weights.pth has the key sk-1234567890")
-        plan = super().plan(scene, instruction, memory)
-        return replace(plan, usage=Usage("told", 10, 5, self.usd, 1, 0.1))
-
-
-class ToldGenerator(FakeGenerator):
-    calls = 0
-
-    def generate(self, scene, crop, gripper, rng):
-        type(self).calls += 1
-        return super().generate(scene, crop, gripper, rng)
 
 
 def png(array: np.ndarray) -> bytes:

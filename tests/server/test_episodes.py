@@ -4,21 +4,28 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
+from fakes.chat_server import dead_url
 from fakes.grasp_server import Running, parts_of, running, told_recipe
-from fakes.stages import THING_M, table_frame
+from fakes.stages import table_frame
 
+from thinkgrasp.config import StageConfig, load_config
 from thinkgrasp.errors import ConfigError, InputError
 from thinkgrasp.server.app import ServerOptions
 from thinkgrasp.server.client import Client
+from thinkgrasp.server.decoding import FrameUpload
 from thinkgrasp.server.episodes import Episodes
+from thinkgrasp.server.jobs import Settings
 from thinkgrasp.server.limits import Limits
 from thinkgrasp.server.problems import RequestProblem
-from thinkgrasp.types import Frame
+from thinkgrasp.server.workers import Recipe
+from thinkgrasp.testing import sample_frame
+from thinkgrasp.types import Frame, Usage
 
 FULL, EMPTY = table_frame(), table_frame(things=False)
 LIMITS = Limits(episodes=20)
+NO_FILES = FrameUpload(b"", b"", b"")
+PRICES = {"m": {"input": 1.0, "output": 1.0}}
 
 
 @pytest.fixture(scope="module")
@@ -92,21 +99,11 @@ def test_a_frame_with_the_outcome_verifies_it(client: Client):
 
 @pytest.mark.parametrize(("instruction", "end"), [("green", "nothing_left"), ("red", "no_grasp")])
 def test_the_loops_other_ends(client: Client, instruction: str, end: str):
-    episode = client.start_episode(instruction)
-    blind = FULL.depth.copy()
-    blind[:, 33:] = EMPTY.depth[:, 33:]
-    frame = replace(FULL, depth=blind)
-    if end == "no_grasp":
-        for _ in range(3):  # every grasp at the thing comes near one that failed
-            if episode.observe(frame).state != "act":
-                break
-            episode.report(False)
-        while episode.status.state != "ended":
-            if episode.observe(frame).state == "act":
-                episode.report(False)
-        assert episode.status.end in (end, "step_limit")
-    else:
-        assert episode.observe(frame).end == end
+    episode = client.start_episode(instruction, step_limit=1000)
+    while episode.observe(FULL).state == "act":  # until every grasp is near one that failed
+        episode.report(False)
+    assert (episode.status.state, episode.status.end) == ("ended", end)
+    assert (episode.status.attempts > 0) == (end == "no_grasp")
 
 
 def test_the_limit_of_steps(client: Client):
@@ -197,29 +194,29 @@ def test_one_that_is_being_answered_does_not_expire():
     assert len(episodes) == 0
 
 
-def test_the_budget_is_for_one_episode():
-    told = told_recipe(usd=0.4)
-    config = replace(told.config, planner=told.config.planner.with_setting("budget_usd", 1.0))
-    recipe = replace(told, config=config)
-    assert recipe.budget_usd == 1.0
+@pytest.mark.parametrize(("usd", "left"), [(0.4, [1.0, 0.6, 0.2]), (None, [1.0, 0.0, 0.0])])
+def test_the_budget_is_for_one_episode(usd: float | None, left: list[float]):
+    told = told_recipe()
+    recipe = replace(told, config=replace(told.config, planner=told.config.planner.with_setting("budget_usd", 1.0)))
     episode = Episodes(Limits()).create("red", 5)
-    frame = None
-    left = []
+    found = []
     for _ in range(3):
-        job = episode.observe(frame, settings(), more_views=False, budget_usd=recipe.budget_usd)  # type: ignore[arg-type]
-        left.append(job.budget_usd)
-        episode.usage += replace(episode.usage, requests=1, usd=0.4)
-    assert left == pytest.approx([1.0, 0.6, -0.2], abs=1e-9) or left == pytest.approx([1.0, 0.6, 0.2], abs=0.5)
+        job = episode.observe(NO_FILES, Settings(), more_views=False, budget_usd=recipe.budget_usd)
+        found.append(job.budget_usd)
+        episode.usage += Usage("told", 1, 1, usd, 1)
+    assert found == pytest.approx(left)
 
 
-def settings():
-    from thinkgrasp.server.jobs import Settings
-
-    return Settings()
+def test_a_spent_budget_ends_the_episode(tmp_path):
+    pytest.importorskip("openai", reason="needs thinkgrasp[vlm]")
+    planner = StageConfig("openai", {"base_url": dead_url(), "prices": PRICES, "model": "m", "budget_usd": 0.0})
+    recipe = Recipe(replace(load_config("offline"), planner=planner), Limits().pixels)
+    with running(recipe, ServerOptions(workers=0)) as server, Client(server.url) as client:
+        status = client.start_episode("the red box").observe(sample_frame())
+    assert (status.state, status.end) == ("ended", "budget_spent")
 
 
 def test_limits_are_checked():
     for bad in ({"queue": -1}, {"body_mb": 0}, {"episode_ttl_s": float("nan")}, {"stage_timeouts_s": {"nap": 1}}):
         with pytest.raises(ConfigError):
             Limits(**bad)  # type: ignore[arg-type]
-    assert np.isclose(THING_M, 0.7)

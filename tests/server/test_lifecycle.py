@@ -15,6 +15,7 @@ from fakes.grasp_server import Running, parts_of, running, told_recipe
 from fakes.stages import table_frame
 
 from thinkgrasp.server.app import ServerOptions
+from thinkgrasp.server.client import Client
 from thinkgrasp.server.limits import STAGE_TIMEOUTS_S, Limits
 
 FRAME = table_frame()
@@ -100,42 +101,57 @@ def test_a_bug_is_told_by_its_place_alone(server: Running, caplog: pytest.LogCap
     assert answer.status_code == 500
     assert answer.json()["error"]["code"] == "internal_error"
     said = " ".join(str(r.__dict__) for r in caplog.records if r.name == "thinkgrasp.server")
-    assert "ZeroDivisionError at grasp_server.py" in said
+    assert "ZeroDivisionError at told_stages.py" in said
     for text in (answer.text, said):
         assert "secret" not in text
         assert "sk-1234" not in text
     assert answer.json()["error"]["request_id"] in said
 
 
-def test_a_worker_that_dies_is_replaced():
-    with running(told_recipe(), ServerOptions(limits=LIMITS)) as server:
-        answer = grasp(server, "red crash")
-        assert answer.status_code == 500
-        assert answer.json()["error"]["code"] == "internal_error"
-        assert grasp(server, "red").status_code == 200
-        assert count(server, "thinkgrasp_worker_restarts_total", reason="ended") == 1
+@pytest.fixture(scope="module")
+def pair():
+    """Two workers, started anew after three jobs each."""
+    with running(told_recipe(sleep_s=0.8), ServerOptions(workers=2, recycle_after=3)) as found:
+        until(lambda: found.http.get("/readyz").json()["ready_workers"] == 2)
+        yield found
 
 
-def test_workers_are_started_anew_after_so_many_decisions():
-    with running(told_recipe(), ServerOptions(limits=LIMITS, recycle_after=2)) as server:
-        for _ in range(3):
-            assert grasp(server, "red").status_code == 200
-        assert count(server, "thinkgrasp_worker_restarts_total", reason="recycled") == 1
+def test_several_workers_decide_side_by_side(pair: Running):
+    seen: list[float] = []
+    done = threading.Event()
+
+    def look() -> None:
+        while not done.is_set():
+            seen.append(count(pair, "thinkgrasp_requests_waiting"))
+
+    with ThreadPoolExecutor(3) as threads:
+        threads.submit(look)
+        answers = list(threads.map(lambda _: grasp(pair, "red sleep").status_code, range(2)))
+        done.set()
+    assert answers == [200, 200]
+    assert max(seen) == 0
 
 
-def test_several_workers_decide_side_by_side():
-    with running(told_recipe(sleep_s=0.8), ServerOptions(workers=2)) as server:
-        until(lambda: server.http.get("/readyz").json()["ready_workers"] == 2)
-        seen: list[float] = []
-        done = threading.Event()
+def test_an_episode_goes_from_worker_to_worker(pair: Running):
+    with Client(pair.url) as client:
+        episode = client.start_episode("red")
+        for attempt in range(3):
+            decision = episode.observe(FRAME).decision
+            assert decision is not None
+            assert [s.check for s in decision.funnel][1:-1] == ["not_failed_before"] * (attempt > 0)
+            episode.report(False)
+    assert episode.status.attempts == 3
 
-        def look() -> None:
-            while not done.is_set():
-                seen.append(count(server, "thinkgrasp_requests_waiting"))
 
-        with ThreadPoolExecutor(3) as threads:
-            threads.submit(look)
-            answers = list(threads.map(lambda _: grasp(server, "red sleep").status_code, range(2)))
-            done.set()
-        assert answers == [200, 200]
-        assert max(seen) == 0
+def test_a_worker_that_dies_is_replaced(pair: Running):
+    answer = grasp(pair, "red crash")
+    assert answer.status_code == 500
+    assert answer.json()["error"]["code"] == "internal_error"
+    assert grasp(pair, "red").status_code == 200
+    assert count(pair, "thinkgrasp_worker_restarts_total", reason="ended") == 1
+
+
+def test_workers_are_started_anew_after_so_many_decisions(pair: Running):
+    assert grasp(pair, "red").status_code == 200
+    until(lambda: count(pair, "thinkgrasp_worker_restarts_total", reason="recycled") >= 1)
+    assert grasp(pair, "red").status_code == 200

@@ -16,7 +16,8 @@ from thinkgrasp.server.problems import RequestProblem
 
 TOKEN_VARIABLE = "THINKGRASP_TOKEN"
 MIN_TOKEN_CHARS = 16
-OPEN_ROUTES = ("/", "/page/{name}", "/healthz", "/readyz", "/docs", "/openapi.json")
+OPEN_PATHS = ("/", "/healthz", "/readyz", "/docs", "/openapi.json")
+OPEN_FOLDER = "/page/"
 """What needs no token: it holds nothing but what this package publishes, and whether the server is up."""
 
 
@@ -64,7 +65,7 @@ class Access:
 
     token: str | None
 
-    def check(self, route: str, headers: Headers) -> None:
+    def check(self, path: str, headers: Headers) -> None:
         """Let a request through.
 
         Raises:
@@ -72,7 +73,7 @@ class Access:
                 name than this machine's own.
         """
         self._check_site(headers)
-        if self.token is None or route in OPEN_ROUTES:
+        if self.token is None or path in OPEN_PATHS or path.startswith(OPEN_FOLDER):
             return
         scheme, _, given = headers.get("authorization", "").partition(" ")
         same = hmac.compare_digest(_digest(given.strip()), _digest(self.token))

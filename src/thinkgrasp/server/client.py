@@ -398,7 +398,13 @@ def _checked_url(url: str) -> str:
         parsed = httpx.URL(url)
     except (httpx.InvalidURL, TypeError, ValueError) as error:
         raise ConfigError(f"{url!r} is no address of a server: {error}") from error
-    if parsed.scheme not in ("http", "https") or not parsed.host or parsed.query or parsed.userinfo:
+    if (
+        parsed.scheme not in ("http", "https")
+        or not parsed.host
+        or "%" in parsed.host
+        or parsed.query
+        or parsed.userinfo
+    ):
         raise ConfigError(f"{url!r} is no address of a server; give one like http://localhost:8000")
     return str(parsed).rstrip("/")
 

@@ -20,7 +20,7 @@ EXACT_FORMATS = ("PNG", "TIFF")
 """For depth and masks, whose numbers must come through as they are."""
 MIN_SIDE_PX = 8
 
-_PATH = re.compile(r"(?<![\w:/])(?:[A-Za-z]:\\|~?/)[\w.@+-]+(?:[/\\][\w.@+ -]*[\w.@+-])+/?")
+_PATH = re.compile(r"(?<![\w:/])(?:[A-Za-z]:\\|~?/)[\w.@+-]+(?:[/\\][\w.@+-]+)+/?")
 
 
 class TooLarge(InputError):

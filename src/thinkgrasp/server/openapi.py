@@ -117,7 +117,7 @@ def _multipart(model: type[BaseModel]) -> dict[str, Any]:
     encoding: dict[str, Any] = {}
     for name, value in schema["properties"].items():
         if name in FILE_PARTS:
-            properties[name] = {"type": "string", "format": "binary"}
+            properties[name] = {"type": "string", "format": "binary", "description": value.get("description", "")}
         else:
             properties[name] = value
             if name != "instruction" and name != "reason":

@@ -41,14 +41,15 @@ function show(api) {
   for (const [path, methods] of Object.entries(api.paths)) {
     for (const [method, operation] of Object.entries(methods)) {
       const title = element("h2", "", element("b", method.toUpperCase()), path);
-      const article = element("article", "", title, element("p", operation.description ?? ""));
+      const article = element("article", "", title, element("p", (operation.description ?? "").replaceAll("`", "")));
       for (const [kind, body] of Object.entries(operation.requestBody?.content ?? {})) {
         article.append(element("h3", kind), fields(resolve(body.schema) ?? {}));
       }
-      for (const [status, answer] of Object.entries(operation.responses)) {
-        const schema = answer.content?.["application/json"]?.schema;
-        if (schema && typeOf(schema)) article.append(element("h3", `Answer ${status}: ${typeOf(schema)}`));
-      }
+      const answers = Object.entries(operation.responses)
+        .map(([status, answer]) => [status, typeOf(answer.content?.["application/json"]?.schema)])
+        .filter(([, type]) => type)
+        .map(([status, type]) => `${status} ${type}`);
+      if (answers.length) article.append(element("h3", `Answers: ${answers.join(", ")}`));
       articles.push(article);
     }
   }

@@ -115,8 +115,10 @@ function show({ decision, overlay_png, view_html }) {
   $("headline").textContent = decision.instruction;
   $("why").textContent = plan.rationale;
   $("overlay").src = `data:image/png;base64,${overlay_png}`;
-  // In here the panel of the 3-D page would repeat what stands below.
-  $("view").srcdoc = view_html.replace("</head>", "<style>aside{display:none}</style></head>");
+  // The picture's caption and the 3-D page's panel would repeat what stands around them.
+  const picture = document.querySelector(".drop[data-role=color] img");
+  $("overlay").style.aspectRatio = picture.naturalWidth ? `${picture.naturalWidth} / ${picture.naturalHeight}` : "auto";
+  $("view").srcdoc = view_html.replace("</head>", "<style>aside,.hint{display:none}main{flex:1!important;height:100%!important}</style></head>");
   if (shown) URL.revokeObjectURL(shown);
   shown = URL.createObjectURL(new Blob([view_html], { type: "text/html" }));
   $("whole").href = shown;
