@@ -60,7 +60,7 @@ def wait_for_result(tab: Tab, instruction: str) -> None:
 
 
 def test_files_are_dropped_a_sentence_typed_and_the_grasp_seen(browser, server: Running, files, tmp_path):
-    tab = Tab(browser, server.url, width=1280, height=900)
+    tab = Tab(browser, server.url, width=1280, height=1400)
     page = tab.page
     page.wait_for_selector("#ready.yes")
     drop(tab, ".drop[data-role=color]", *files)  # all three at once: each goes where its name says
@@ -82,7 +82,7 @@ def test_files_are_dropped_a_sentence_typed_and_the_grasp_seen(browser, server: 
     assert (shades.std(axis=0) > 10).all(), "the 3-D view shows something"
     assert (shades[:, 2] - shades[:, 0] > 80).sum() > 300, "the gripper is drawn"
     keep = os.environ.get("THINKGRASP_SCREENSHOTS")
-    page.screenshot(path=str(Path(keep or tmp_path) / "server-page.png"), full_page=True)
+    page.screenshot(path=str(Path(keep or tmp_path) / "server-page.png"))
 
     page.fill("#instruction", "a bicycle")
     page.press("#instruction", "Enter")
@@ -90,7 +90,7 @@ def test_files_are_dropped_a_sentence_typed_and_the_grasp_seen(browser, server: 
     assert page.inner_text("#status") == "NO TARGET"
     if keep:
         page.wait_for_timeout(500)
-        page.screenshot(path=str(Path(keep) / "server-page-nothing.png"), full_page=True)
+        page.screenshot(path=str(Path(keep) / "server-page-nothing.png"))
     assert tab.foreign_requests(server.url) == []
     assert tab.complaints == []
     page.close()

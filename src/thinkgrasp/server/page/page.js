@@ -110,6 +110,7 @@ function busy(is) {
 
 function show({ decision, overlay_png, view_html }) {
   const { plan, target, grasp } = decision;
+  $("result").hidden = false;  // first, so that the 3-D view finds its size
   $("status").textContent = HEADLINES[decision.status];
   $("status").className = `status ${decision.status}`;
   $("headline").textContent = decision.instruction;
@@ -148,7 +149,6 @@ function show({ decision, overlay_png, view_html }) {
   $("fallbacks").replaceChildren(...decision.degraded.map((d) => element("li", `${d.stage}: ${d.reason}; instead: ${d.fallback}`)));
   const short = { ...decision, target: target && { ...target, mask_png: target.mask_png && `${target.mask_png.slice(0, 24)}…` } };
   $("json").textContent = JSON.stringify(short, null, 2);
-  $("result").hidden = false;
   $("result").scrollIntoView({ behavior: "smooth", block: "start" });
 }
 
