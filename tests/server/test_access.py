@@ -190,15 +190,10 @@ def test_a_token_from_a_file(tmp_path, monkeypatch):
 class TestLogs:
     def test_a_request_is_one_line_of_json_without_what_was_said(self, server: Running):
         out = io.StringIO()
-        logs.set_up(out)
-        try:
+        with logs.to_stream(out):
             headers = {"Authorization": f"Bearer {TOKEN}", "X-Request-ID": "mine-1"}
             server.http.post("/v1/grasp", headers=headers, files=parts_of(table_frame(), "my secret red thing"))
             server.http.get("/etc/passwd", headers={"X-Request-ID": "bad id \u00ff".encode()})
-        finally:
-            for name in ("thinkgrasp.server", "uvicorn"):
-                logging.getLogger(name).handlers = []
-                logging.getLogger(name).propagate = True
         first, second = map(json.loads, out.getvalue().splitlines())
         assert (
             first.items() >= {"event": "request", "request_id": "mine-1", "status": 200, "route": "/v1/grasp"}.items()

@@ -18,9 +18,9 @@ from thinkgrasp.server.paper_api import PaperOptions
 from thinkgrasp.testing import sample_frame
 
 LIMITS = Limits(body_mb=3, megapixels=0.4, episodes=100_000)
-SHORT, LONG = 2, 90
+SHORT, LONG = 2, 180
 """Requests per operation and mode."""
-SPOILT = 800
+SPOILT = 400
 """Good requests with some bytes changed, in the long run."""
 
 

@@ -95,7 +95,6 @@ def test_one_request_too_many_is_429_and_says_when_to_come_back(server: Running)
 
 
 def test_a_bug_is_told_by_its_place_alone(server: Running, caplog: pytest.LogCaptureFixture):
-    logging.getLogger("thinkgrasp.server").propagate = True
     caplog.set_level(logging.INFO, "thinkgrasp.server")
     answer = grasp(server, "red bug")
     assert answer.status_code == 500

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import logging
-import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import TextIO
 
+from thinkgrasp.server.decoding import without_paths
 from thinkgrasp.server.workers import where_raised
 
 EVENTS = logging.getLogger("thinkgrasp.server")
+NOISY = ("python_multipart", "uvicorn")
+"""Loggers that warn of what clients send wrong, which is in our own events."""
 
 
 def log(event: str, *, level: int = logging.INFO, **fields: object) -> None:
@@ -27,7 +31,7 @@ class JsonLines(logging.Formatter):
         line: dict[str, object] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
-            "event": record.getMessage() if own else str(record.msg).splitlines()[0][:200],
+            "event": record.getMessage() if own else without_paths(str(record.msg).partition("\n")[0][:200]),
         }
         if not own:
             line["logger"] = record.name
@@ -37,12 +41,21 @@ class JsonLines(logging.Formatter):
         return json.dumps(line, ensure_ascii=True)
 
 
-def set_up(out: TextIO = sys.stderr, *, level: int = logging.INFO) -> None:
-    """Send the events of the server and of uvicorn to a stream, once."""
+@contextmanager
+def to_stream(out: TextIO, *, level: int = logging.INFO) -> Iterator[None]:
+    """Send the server's events, and the warnings of all other loggers, to a stream while the block runs."""
     handler = logging.StreamHandler(out)
     handler.setFormatter(JsonLines())
-    for name, least in ((EVENTS.name, level), ("uvicorn", max(level, logging.WARNING))):
-        logger = logging.getLogger(name)
-        logger.handlers = [handler]
-        logger.setLevel(least)
-        logger.propagate = False
+    root = logging.getLogger()
+    before = [(logger, logger.level) for logger in (root, EVENTS, *map(logging.getLogger, NOISY))]
+    root.addHandler(handler)
+    root.setLevel(logging.WARNING)
+    EVENTS.setLevel(level)
+    for name in NOISY:
+        logging.getLogger(name).setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        root.removeHandler(handler)
+        for logger, former in before:
+            logger.setLevel(former)

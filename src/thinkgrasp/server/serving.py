@@ -52,18 +52,14 @@ def serve(
         server.should_exit = True
 
     server = make_server(recipe, options, on_unloadable=give_up)
-    logs.set_up(sys.stderr)
-    bound = listener.getsockname()[1]
-    name = f"[{host}]" if ":" in host else host
+    name, bound = f"[{host}]" if ":" in host else host, listener.getsockname()[1]
     on_listening(f"http://{name}:{bound}")
-    logs.log("started", host=host, port=bound, workers=options.workers, token=options.token is not None)
-    try:
+    with listener, logs.to_stream(sys.stderr):
+        logs.log("started", host=host, port=bound, workers=options.workers, token=options.token is not None)
         server.run(sockets=[listener])
-    finally:
-        listener.close()
+        logs.log("stopped")
     if problems:
         raise ConfigError(problems[0])
-    logs.log("stopped")
 
 
 def make_server(
