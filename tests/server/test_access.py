@@ -8,9 +8,11 @@ import logging
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 from fakes.grasp_server import TOKEN, Running, parts_of, running, told_recipe
@@ -22,6 +24,7 @@ from thinkgrasp.server import logs
 from thinkgrasp.server.access import Access, is_loopback, read_token
 from thinkgrasp.server.app import ServerOptions
 from thinkgrasp.server.decoding import without_paths
+from thinkgrasp.server.limits import Limits
 from thinkgrasp.server.problems import RequestProblem
 
 GUARDED = ("/v1/grasp", "/v1/explain", "/v1/episodes", "/grasp_pose")
@@ -141,11 +144,10 @@ class TestCommand:
         assert result.code == 2
         assert f"cannot listen at 127.0.0.1:{server.port}" in result.err
 
-    def test_models_that_cannot_be_loaded_end_it(self, cli, monkeypatch):
-        monkeypatch.delenv("OPENAI_API_KEY", raising=False)
-        result = cli("serve", "--port", "0", "--workers", "0", "--preset", "vlm")
+    def test_models_that_cannot_be_loaded_end_it(self, cli):
+        result = cli("serve", "--port", "0", "--workers", "0", "--gripper", "nowhere")
         assert result.code == 2
-        assert "OPENAI_API_KEY is not set" in result.err.splitlines()[-1]
+        assert "no gripper 'nowhere'" in result.err.splitlines()[-1]
 
     def test_it_serves_until_it_is_told_to_stop(self, tmp_path):
         token = tmp_path / "token"
@@ -187,6 +189,22 @@ def test_a_token_from_a_file(tmp_path, monkeypatch):
         read_token(file)
 
 
+def test_connections_are_bounded():
+    limits = Limits(connections=3, keep_alive_s=60)
+    with running(told_recipe(), ServerOptions(workers=0, limits=limits)) as server:
+        idle = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(2)]
+        try:
+            with socket.create_connection(("127.0.0.1", server.port)) as one_too_many:
+                one_too_many.settimeout(20)
+                answer = one_too_many.recv(4096)
+        finally:
+            for connection in idle:
+                connection.close()
+        assert answer.startswith(b"HTTP/1.1 429 ")
+        assert json.loads(answer.partition(b"\r\n\r\n")[2])["error"]["code"] == "too_many_connections"
+        assert server.http.get("/healthz").status_code == 200
+
+
 class TestLogs:
     def test_a_request_is_one_line_of_json_without_what_was_said(self, server: Running):
         out = io.StringIO()
@@ -194,6 +212,9 @@ class TestLogs:
             headers = {"Authorization": f"Bearer {TOKEN}", "X-Request-ID": "mine-1"}
             server.http.post("/v1/grasp", headers=headers, files=parts_of(table_frame(), "my secret red thing"))
             server.http.get("/etc/passwd", headers={"X-Request-ID": "bad id \u00ff".encode()})
+            deadline = time.monotonic() + 30
+            while out.getvalue().count("\n") < 2 and time.monotonic() < deadline:
+                time.sleep(0.01)  # a line follows its answer
         first, second = map(json.loads, out.getvalue().splitlines())
         assert (
             first.items() >= {"event": "request", "request_id": "mine-1", "status": 200, "route": "/v1/grasp"}.items()

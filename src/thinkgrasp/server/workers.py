@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -276,6 +277,8 @@ class ProcessWorker:
 def _serve(pipe: Connection, recipe: Recipe) -> None:
     """What a worker's process does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the server ends its workers itself
+    if not recipe.debug:
+        warnings.simplefilter("ignore")  # they name files and lines, and are none of the log's JSON
 
     def announce(stage: str) -> None:
         if pipe.poll(0) and pipe.recv() is None:
