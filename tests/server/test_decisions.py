@@ -18,6 +18,7 @@ from thinkgrasp.schema import DecisionModel, decision_to_schema
 from thinkgrasp.server.app import ServerOptions
 from thinkgrasp.server.client import Client
 from thinkgrasp.testing import sample_frame
+from thinkgrasp.types import CameraIntrinsics, Frame
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +93,16 @@ def test_the_workspace_is_obeyed(server: Running):
     answer = server.http.post("/v1/grasp", files=parts_of(replace(frame, workspace=nowhere)))
     assert answer.status_code == 200, answer.text
     assert answer.json()["status"] != "grasp"
+
+
+@pytest.mark.parametrize(("width", "height"), [(2000, 8), (8, 2000), (8, 8)])
+def test_slivers_are_decided_upon(server: Running, width: int, height: int):
+    depth = np.where(np.arange(width) < width // 2, 0.5, 0.8).astype(np.float32) * np.ones((height, 1), np.float32)
+    depth[0, 0] = 1e30
+    camera = CameraIntrinsics(width, height, 300.0, 300.0, (width - 1) / 2, (height - 1) / 2)
+    frame = Frame(np.full((height, width, 3), 90, np.uint8), depth, camera)
+    answer = server.http.post("/v1/grasp", files=parts_of(frame))
+    assert answer.status_code == 200, answer.text
 
 
 def test_explain_brings_the_pictures(server: Running, local: DecisionModel):

@@ -25,6 +25,9 @@ REACH_LIMIT_M = 4.0
 FAR_LIMIT_M = 20.0
 """A frame whose median lies beyond this is not a table but a wrong unit."""
 
+NO_RETURN_M = 1000.0
+"""Single pixels beyond this are no distances but what some devices write for no return."""
+
 FilePath = str | Path
 Source = FilePath | Upload
 """A file, or what one would hold."""
@@ -198,7 +201,8 @@ def _to_metres(raw: NDArray[np.generic], path: Source, given: float | None, came
     if not valid.size:
         raise InputError(f"depth {path} holds no return at all: every pixel is 0, NaN, infinite or saturated")
     _check_unit(np.percentile(valid, [5, 50]), scale, path, is_float=is_float)
-    return (values * scale).astype(np.float32)
+    metres = values * scale
+    return np.where(metres > NO_RETURN_M, 0, metres).astype(np.float32)
 
 
 def _check_unit(quantiles: NDArray[np.float64], scale: float, path: Source, *, is_float: bool) -> None:

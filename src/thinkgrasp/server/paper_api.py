@@ -29,6 +29,8 @@ PUBLISHED_CAMERA = {"width": 640, "height": 480, "fx": 382.8567, "fy": 382.4391,
 """The camera that the paper's code names in its source, with depth in millimetres."""
 PUBLISHED_CAMERA_WARNING = '299 - "no camera was given: the one of the paper\'s source was assumed"'
 
+_OPEN_FLAGS = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
+
 
 @dataclass(frozen=True)
 class PaperOptions:
@@ -98,7 +100,7 @@ def read_inside(root: Path, given: str, name: str, max_bytes: int) -> bytes:
         path = (base / given).resolve(strict=True)
         if not path.is_relative_to(base):
             raise refusal
-        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        handle = os.open(path, _OPEN_FLAGS)
         with os.fdopen(handle, "rb") as file:
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from thinkgrasp.errors import ThinkGraspError
 from thinkgrasp.server.jobs import Answer, Job
 from thinkgrasp.server.limits import Limits
-from thinkgrasp.server.workers import Cancelled, Watch, Worker
+from thinkgrasp.server.workers import Cancelled, Watch, Worker, where_raised
 
 RESTART_WAITS_S = (0.0, 1.0, 5.0, 30.0)
 """Before a worker that could not be started anew is tried again; the last one from then on."""
@@ -184,11 +184,11 @@ class Pool:
             await asyncio.sleep(RESTART_WAITS_S[min(attempt, len(RESTART_WAITS_S) - 1)])
             try:
                 await asyncio.get_running_loop().run_in_executor(self._threads, worker.start)
-            except ThinkGraspError as error:
+            except Exception as error:  # a plug-in may fail in any way while it is made
                 if self._closed:
                     return
                 if first:
-                    self._on_unloadable(str(error))
+                    self._on_unloadable(str(error) if isinstance(error, ThinkGraspError) else where_raised(error))
                     return
                 self._on_restart("failed")
                 attempt += 1
