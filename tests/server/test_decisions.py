@@ -95,14 +95,24 @@ def test_the_workspace_is_obeyed(server: Running):
     assert answer.json()["status"] != "grasp"
 
 
-@pytest.mark.parametrize(("width", "height"), [(2000, 8), (8, 2000), (8, 8)])
-def test_slivers_are_decided_upon(server: Running, width: int, height: int):
+def sliver(width: int, height: int) -> Frame:
     depth = np.where(np.arange(width) < width // 2, 0.5, 0.8).astype(np.float32) * np.ones((height, 1), np.float32)
-    depth[0, 0] = 1e30
     camera = CameraIntrinsics(width, height, 300.0, 300.0, (width - 1) / 2, (height - 1) / 2)
-    frame = Frame(np.full((height, width, 3), 90, np.uint8), depth, camera)
-    answer = server.http.post("/v1/grasp", files=parts_of(frame))
+    return Frame(np.full((height, width, 3), 90, np.uint8), depth, camera)
+
+
+@pytest.mark.parametrize(("width", "height"), [(128, 8), (8, 128), (8, 8)])
+def test_small_and_narrow_images_are_decided_upon(server: Running, width: int, height: int):
+    answer = server.http.post("/v1/grasp", files=parts_of(sliver(width, height)))
     assert answer.status_code == 200, answer.text
+
+
+def test_slivers_are_refused_here_but_are_no_bug_elsewhere(server: Running):
+    answer = server.http.post("/v1/grasp", files=parts_of(sliver(8, 2000)))
+    assert answer.status_code == 422
+    assert "16 times the other" in answer.json()["error"]["message"]
+    for size in ((8, 2000), (2000, 8)):
+        assert make_pipeline("offline").decide(sliver(*size), "the red box").status == "no_target"
 
 
 def test_explain_brings_the_pictures(server: Running, local: DecisionModel):

@@ -19,6 +19,8 @@ COLOR_FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP")
 EXACT_FORMATS = ("PNG", "TIFF")
 """For depth and masks, whose numbers must come through as they are."""
 MIN_SIDE_PX = 8
+MAX_ASPECT = 16
+"""Of the longer side to the shorter one; narrower pictures come from no camera, and are costly to draw on."""
 
 _PATH = re.compile(r"(?<![\w:/])(?:[A-Za-z]:\\|~?/)[\w.@+-]+(?:[/\\][\w.@+-]+)+/?")
 
@@ -72,6 +74,8 @@ def _look_at(upload: Upload, what: str, formats: tuple[str, ...], max_pixels: in
         raise TooLarge(f"the {what} image is {width}x{height}; at most {max_pixels / 1e6:g} megapixels are allowed")
     if min(width, height) < MIN_SIDE_PX:
         raise InputError(f"the {what} image is {width}x{height}; at least {MIN_SIDE_PX}x{MIN_SIDE_PX} are needed")
+    if max(width, height) > MAX_ASPECT * min(width, height):
+        raise InputError(f"the {what} image is {width}x{height}; one side may be {MAX_ASPECT} times the other at most")
 
 
 def _image_size(upload: Upload, what: str, formats: tuple[str, ...]) -> tuple[int, int]:
