@@ -3,6 +3,7 @@
 # make test-ray  the benchmark on a Ray cluster of this machine
 # make lint    ruff and pyright
 # make bench-loop  single grasps and the benchmark of offline and oracle in simulation (hours; see docs/benchmark.md)
+# make fuzz    thousands of requests to the HTTP server, made from its own schema (some minutes)
 # make bench   speed and memory stage by stage, perception and language on rendered scenes;
 #              FRAMES=DIR adds the real frames of a folder (see docs/measurements.md)
 
@@ -12,7 +13,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PYTEST_ARGS ?= -n auto --dist loadfile
 
-.PHONY: help demo test test-ray lint bench bench-loop browser clean
+.PHONY: help demo test test-ray lint bench bench-loop fuzz browser clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -48,6 +49,9 @@ ifdef FRAMES
 	$(BIN)/python benchmarks/leave_one_out.py $(FRAMES)
 	$(BIN)/python benchmarks/stability.py $(FRAMES)
 endif
+
+fuzz: $(VENV)/.test
+	$(BIN)/python -m pytest tests/server/test_fuzz.py -m fuzz -s
 
 bench-loop: $(VENV)/.test
 	$(BIN)/python benchmarks/grasping.py
@@ -86,7 +90,7 @@ $(VENV)/.sim: $(VENV)/.base
 
 $(VENV)/.test: $(VENV)/.sim
 	@echo "installing what the tests need"
-	@$(PIP) --editable '.[sim,convex,viz,ompl,vlm,graspnet,langsam,calibration]' --group test
+	@$(PIP) --editable '.[sim,convex,viz,ompl,vlm,graspnet,langsam,calibration,server]' --group test
 	@touch $@
 
 $(VENV)/.lint: $(VENV)/.test

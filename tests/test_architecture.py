@@ -40,6 +40,7 @@ ORDER = [
     ["doctor", "summary", "stage_options", "bench_command"],
     ["run_command", "calibrate_command"],
     ["server"],
+    ["serve_command"],
     ["cli"],
 ]
 """Lowest first; parts on one line must not import one another."""

@@ -24,15 +24,16 @@ from thinkgrasp import __version__
 from thinkgrasp.bench_command import BenchCommand
 from thinkgrasp.calibrate_command import CalibrateCommand
 from thinkgrasp.errors import ConfigError, InputError, ThinkGraspError
-from thinkgrasp.outputs import check_writable, make_folder, one_line, write_atomic
+from thinkgrasp.outputs import OVERLAY_SUFFIXES, check_writable, make_folder, one_line, write_atomic
 from thinkgrasp.run_command import RunCommand
+from thinkgrasp.serve_command import ServeCommand
 from thinkgrasp.stage_options import DEFAULT_STAGES, StageOptions, configure
 
 if TYPE_CHECKING:
     from thinkgrasp.gripper import Gripper
+    from thinkgrasp.schema import DecisionModel
     from thinkgrasp.types import Decision
 
-OVERLAY_SUFFIXES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
 DONE, NOTHING, BAD_INPUT, BUG, INTERRUPTED = 0, 1, 2, 3, 130
 ORACLE_STAGES = ("scene", "planner", "segmenter")
 """Replaced by the simulator's truth, so that settings of theirs would do nothing."""
@@ -62,6 +63,8 @@ class GraspCommand:
     """Write the annotated image here (.png, .jpg, .webp)."""
     view: Annotated[Path | None, arg(metavar="PATH")] = None
     """Write the 3-D view here (.html)."""
+    server: Annotated[str | None, arg(metavar="URL")] = None
+    """Let the server there decide (thinkgrasp serve); its token is read from THINKGRASP_TOKEN."""
     stages: tyro.conf.OmitArgPrefixes[StageOptions] = DEFAULT_STAGES
 
     def run(self) -> int:
@@ -84,16 +87,28 @@ class GraspCommand:
         frame = load_frame(
             self.color, self.depth, self.camera, depth_scale=self.depth_scale, workspace_mask=self.workspace_mask
         )
+        if self.also and self.server is not None:
+            raise ConfigError("--also needs a decision here: the server takes one view; leave out --server")
         if self.also:
             from thinkgrasp.fusion import describe, fuse
 
             frame = fuse([frame, *(load_frame(*view, depth_scale=self.depth_scale) for view in self.also)])
             _progress(describe(frame))
-        pipeline = make_pipeline(config)
-        decision = pipeline.decide(frame, self.instruction)
-        _write_pictures(decision, pipeline.gripper, self.overlay, self.view)
-        _print_decision(decision, as_json=self.json)
-        return DONE if decision.status == "grasp" else NOTHING
+        if self.server is None:
+            from thinkgrasp.schema import decision_to_schema
+
+            pipeline = make_pipeline(config)
+            decision = pipeline.decide(frame, self.instruction)
+            _write_pictures(decision, pipeline.gripper, self.overlay, self.view)
+            model, timings_ms = decision_to_schema(decision), dict(decision.timings_ms)
+        else:
+            from thinkgrasp.server.remote import ask_server
+
+            model, timings_ms = ask_server(
+                self.server, frame, self.instruction, self.stages, overlay=self.overlay, view=self.view
+            )
+        _print_decision(model, timings_ms, as_json=self.json)
+        return DONE if model.status == "grasp" else NOTHING
 
 
 @dataclass(frozen=True)
@@ -249,6 +264,7 @@ Command = (
     | Annotated[BenchCommand, subcommand("bench")]
     | Annotated[RunCommand, subcommand("run")]
     | Annotated[CalibrateCommand, subcommand("calibrate")]
+    | Annotated[ServeCommand, subcommand("serve")]
     | Annotated[DoctorCommand, subcommand("doctor")]
     | Annotated[PluginsCommand, subcommand("plugins")]
     | Annotated[PresetsCommand, subcommand("presets")]
@@ -367,16 +383,13 @@ def _write_pictures(decision: Decision, gripper: Gripper, overlay: Path | None, 
             write_atomic(view, draft.read_bytes())
 
 
-def _print_decision(decision: Decision, *, as_json: bool) -> None:
-    from thinkgrasp.schema import decision_to_schema
-
-    model = decision_to_schema(decision)
+def _print_decision(model: DecisionModel, timings_ms: dict[str, float], *, as_json: bool) -> None:
     if as_json:
         print(_encodable(model.to_json(indent=2)))
         return
     from thinkgrasp.summary import print_summary
 
-    print_summary(model, decision, sys.stdout)
+    print_summary(model, timings_ms, sys.stdout)
 
 
 def _encodable(text: str) -> str:

@@ -33,7 +33,7 @@ EXTRAS: dict[str, Extra] = {
     "vlm": Extra("planning with GPT-4o or any server that speaks chat.completions", True),
     "langsam": Extra("masks from text by GroundingDINO and SAM, SAM 3 or VLPart", True),
     "graspnet": Extra("the generators VGN, GraspNet-1Billion and FGC-GraspNet", True),
-    "server": Extra("the HTTP server and its client", False),
+    "server": Extra("the HTTP server and its client", True),
     "viz": Extra("following an episode in the browser (demo --live)", True),
     "rerun": Extra("recording episodes for the rerun viewer", False),
     "ompl": Extra("RRT* and other motion planners", True),

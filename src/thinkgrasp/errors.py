@@ -5,7 +5,8 @@
     ├── ConfigError            a setting, preset or plug-in that cannot be used
     │   ├── PluginNotFound     no plug-in of that kind and name
     │   └── MissingDependency  an optional package is not installed
-    └── ContractError          a plug-in returned something that its interface does not allow
+    ├── ContractError          a plug-in returned something that its interface does not allow
+    └── ServerError            a ThinkGrasp server cannot be reached, is busy for too long, or failed
 
 Expected outcomes (nothing found, no grasp survived) are values, never exceptions. The command line turns every
 exception of this tree into one line on stderr and exit code 2.
@@ -40,3 +41,7 @@ class MissingDependency(ConfigError):
 
 class ContractError(ThinkGraspError):
     """A plug-in returned something that its interface does not allow."""
+
+
+class ServerError(ThinkGraspError):
+    """A ThinkGrasp server cannot be reached, is busy for too long, or failed."""

@@ -134,9 +134,9 @@ def run_episode(
         if decision.grasp is not None:
             outcome = robot.execute(decision.grasp, decision.scene.frame)
             frame = cameras[0].read()
-            if outcome.success and _same_view(decision.scene.frame, frame) and is_still_there(decision, frame):
+            if outcome.success and is_undone(decision, frame):
                 outcome = Outcome(False, "still_there")
-            memory = _remember(memory, decision, outcome)
+            memory = remember(memory, decision, outcome)
         steps.append(Step(decision, outcome, time.perf_counter() - start))
         for recorder in recorders:
             recorder.record(decision, outcome)
@@ -192,10 +192,10 @@ def _decide(
                 if other.grasp is not None or other.plan.out_of_budget:
                     return other, memory
                 if other.status == "no_grasp" and look.others is None:
-                    memory = _remember(memory, other, Outcome(False, "no_grasp"))
+                    memory = remember(memory, other, Outcome(False, "no_grasp"))
         if decision.status == "no_target" or replans == MAX_REPLANS:
             break
-        memory = _remember(memory, decision, Outcome(False, "no_grasp"))
+        memory = remember(memory, decision, Outcome(False, "no_grasp"))
         decision = decide(frame, memory)
     return first, memory
 
@@ -220,8 +220,8 @@ def _fused(frames: list[Frame]) -> Frame | None:
     return None if len(frames) < 2 or any(f.T_world_camera is None for f in frames) else fuse(frames)
 
 
-def _remember(memory: Memory, decision: Decision, outcome: Outcome) -> Memory:
-    """Return the memory with this attempt, placed where the thing's centre was."""
+def remember(memory: Memory, decision: Decision, outcome: Outcome) -> Memory:
+    """Return the memory with this attempt, placed where the thing's centre was; unchanged where that is not known."""
     scene, plan = decision.scene, decision.plan
     mark = decision.target.mark if decision.target is not None else plan.mark
     if mark is not None:
@@ -232,3 +232,15 @@ def _remember(memory: Memory, decision: Decision, outcome: Outcome) -> Memory:
         return memory
     memory = memory.seen_from(scene.frame.T_world_camera)
     return memory.remember(Attempt(plan.target, plan.cell, decision.grasp, np.asarray(center, np.float64), outcome))
+
+
+def decide_on_view(
+    frame: Frame, decide: Callable[[Frame, Memory], Decision], memory: Memory
+) -> tuple[Decision, Memory]:
+    """Decide as one step of `run_episode` does with one camera, and return the memory with what had no grasp."""
+    return _decide(frame, (), decide, memory, "never")
+
+
+def is_undone(decision: Decision, after: Frame) -> bool:
+    """Whether a later frame of the same view shows what was said to be removed where it was."""
+    return _same_view(decision.scene.frame, after) and is_still_there(decision, after)

@@ -9,6 +9,9 @@ from pathlib import Path
 
 from thinkgrasp.errors import InputError
 
+OVERLAY_SUFFIXES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
+"""What the annotated image can be written as, and Pillow's names for it."""
+
 
 def check_writable(path: Path, what: str, *, inputs: Iterable[Path] = ()) -> None:
     """Raise InputError unless a file can be written at `path` and it is none of the inputs.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TextIO
 
 from rich.console import Console
@@ -10,7 +11,6 @@ from rich.table import Table
 from rich.text import Text
 
 from thinkgrasp.schema import DecisionModel, GraspModel
-from thinkgrasp.types import Decision
 
 _HEADLINES = {
     "grasp": ("grasp found", "bold green"),
@@ -19,20 +19,20 @@ _HEADLINES = {
 }
 
 
-def print_summary(model: DecisionModel, decision: Decision, out: TextIO) -> None:
-    """Print what was decided, why, and how long it took."""
+def print_summary(model: DecisionModel, timings_ms: Mapping[str, float], out: TextIO) -> None:
+    """Print what was decided, why, and how long each of the stages that were reached took."""
     console = Console(file=out, highlight=False, soft_wrap=True)
     headline, style = _HEADLINES[model.status]
     console.print(Text(headline, style=style))
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(style="dim", no_wrap=True)
     table.add_column(overflow="fold")
-    for name, value in _rows(model, decision):
+    for name, value in _rows(model, timings_ms):
         table.add_row(name, Text(value))
     console.print(table)
 
 
-def _rows(model: DecisionModel, decision: Decision) -> list[tuple[str, str]]:
+def _rows(model: DecisionModel, timings_ms: Mapping[str, float]) -> list[tuple[str, str]]:
     plan, target, grasp = model.plan, model.target, model.grasp
     rows = [("instruction", model.instruction)]
     if model.status != "no_target":
@@ -50,8 +50,7 @@ def _rows(model: DecisionModel, decision: Decision) -> list[tuple[str, str]]:
         steps = [f"{s.check} {s.n_out}" for s in model.funnel if s.check != "candidates"]
         rows.append(("candidates", " -> ".join([str(first), *steps])))
     rows += [("fell back", f"{d.stage}: {d.reason}; used {d.fallback}") for d in model.degraded]
-    timings = dict(decision.timings_ms)
-    stages = ", ".join(f"{name} {ms:.0f}" for name, ms in timings.items() if name != "total")
+    stages = ", ".join(f"{name} {ms:.0f}" for name, ms in timings_ms.items() if name != "total")
     rows.append(("time", f"{model.timings_ms.total:.0f} ms ({stages})"))
     if model.usage.model is not None:
         cost = "" if model.usage.usd is None else f", {model.usage.usd:.4f} USD"

@@ -149,6 +149,14 @@ class TestDepth:
         path = write_depth(tmp_path / "d.npy", values)
         assert (load_frame(frame_files.color, path, frame_files.camera).depth[0, :4] == 0).all()
 
+    def test_single_pixels_beyond_all_distances_are_no_return(self, tmp_path, frame_files, frame):
+        depth = frame.depth.copy()
+        depth[:2, :2] = 1e30
+        np.save(tmp_path / "far.npy", depth)
+        got = load_frame(frame_files.color, tmp_path / "far.npy", frame_files.camera).depth
+        assert (got[:2, :2] == 0).all()
+        np.testing.assert_array_equal(got[2:], depth[2:])
+
     def test_saturated_sixteen_bit_is_no_return(self, tmp_path, frame_files, frame):
         values = (frame.depth * 1000).astype(np.uint16)
         values[3] = 65535

@@ -28,6 +28,22 @@ NESTED_KEYS = ("camera", "intrinsic")
 DISTORTION_KEYS = ("D", "d", "coeffs", "distortion", "dist_coeffs")
 
 
+@dataclass(frozen=True)
+class Upload:
+    """The content of a file that came without one, for example over a network, and what to call it in messages."""
+
+    name: str
+    data: bytes
+
+    @property
+    def suffix(self) -> str:
+        """What the file's name would end in, as far as the content says it: ".npy" or nothing."""
+        return ".npy" if self.data.startswith(b"\x93NUMPY") else ""
+
+    def __str__(self) -> str:
+        return self.name
+
+
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """What a camera file says; `size_wh` is None where it does not name the image size."""
@@ -46,7 +62,7 @@ class Calibration:
         return CameraIntrinsics(width, height, self.fx, self.fy, self.cx, self.cy)
 
 
-def read_calibration(path: str | Path) -> Calibration:
+def read_calibration(path: str | Path | Upload) -> Calibration:
     """Read a camera file.
 
     Accepted are JSON objects with fx, fy, cx, cy (or x_offset/y_offset, ppx/ppy), or a 3x3 matrix under K, k,
@@ -57,8 +73,9 @@ def read_calibration(path: str | Path) -> Calibration:
     Raises:
         InputError: The file cannot be read, lacks keys, or a value is not what it should be.
     """
-    path = Path(path)
-    data = _read_mat(path) if path.suffix.lower() == ".mat" else _read_json(path)
+    if not isinstance(path, Upload):
+        path = Path(path)
+    data = _read_mat(path) if isinstance(path, Path) and path.suffix.lower() == ".mat" else _read_json(path)
     where = f"camera file {path}"
     for key in NESTED_KEYS:
         inner = data.get(key)
@@ -101,10 +118,11 @@ def require_file(path: Path, what: str) -> None:
         raise InputError(f"{what} {str(path)!r} cannot be read: {error}") from error
 
 
-def _read_json(path: Path) -> dict[str, object]:
-    require_file(path, "camera file")
+def _read_json(path: Path | Upload) -> dict[str, object]:
+    if isinstance(path, Path):
+        require_file(path, "camera file")
     try:
-        data: object = json.loads(path.read_text(encoding="utf-8-sig"))
+        data: object = json.loads((path.read_bytes() if isinstance(path, Path) else path.data).decode("utf-8-sig"))
     except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise InputError(f"camera file {path} is not readable JSON: {error}") from error
     if not isinstance(data, dict):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import warnings
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from thinkgrasp.cameras.calibration import Calibration, check_depth_scale, read_calibration, require_file
+from thinkgrasp.cameras.calibration import Calibration, Upload, check_depth_scale, read_calibration, require_file
 from thinkgrasp.errors import InputError
 from thinkgrasp.types import Array, CameraIntrinsics, Frame, Mask
 
@@ -24,16 +25,21 @@ REACH_LIMIT_M = 4.0
 FAR_LIMIT_M = 20.0
 """A frame whose median lies beyond this is not a table but a wrong unit."""
 
+NO_RETURN_M = 1000.0
+"""Single pixels beyond this are no distances but what some devices write for no return."""
+
 FilePath = str | Path
+Source = FilePath | Upload
+"""A file, or what one would hold."""
 
 
 def load_frame(
-    color: FilePath,
-    depth: FilePath,
-    camera: FilePath,
+    color: Source,
+    depth: Source,
+    camera: Source,
     *,
     depth_scale: float | None = None,
-    workspace_mask: FilePath | None = None,
+    workspace_mask: Source | None = None,
 ) -> Frame:
     """Read one aligned RGB-D view.
 
@@ -55,7 +61,7 @@ def load_frame(
     calibration = read_calibration(camera)
     image = read_color(color)
     size_wh = (image.shape[1], image.shape[0])
-    raw = _read_depth_array(Path(depth))
+    raw = _read_depth_array(_located(depth))
     if (raw.shape[1], raw.shape[0]) != size_wh:
         raise InputError(
             f"colour {color} is {size_wh[0]}x{size_wh[1]} but depth {depth} is {raw.shape[1]}x{raw.shape[0]}; "
@@ -67,8 +73,8 @@ def load_frame(
             f"camera file {camera} is for {intrinsics.width}x{intrinsics.height} images but {color} is "
             f"{size_wh[0]}x{size_wh[1]}; give the intrinsics of this resolution"
         )
-    metres = _to_metres(raw, Path(depth), depth_scale, calibration.depth_scale)
-    workspace = None if workspace_mask is None else _read_workspace(Path(workspace_mask), metres)
+    metres = _to_metres(raw, depth, depth_scale, calibration.depth_scale)
+    workspace = None if workspace_mask is None else _read_workspace(_located(workspace_mask), metres)
     return Frame(image, metres, intrinsics, calibration.T_world_camera, workspace)
 
 
@@ -121,7 +127,7 @@ class FileCamera:
         )
 
 
-def read_color(path: FilePath) -> NDArray[np.uint8]:
+def read_color(path: Source) -> NDArray[np.uint8]:
     """Read a colour image as (H, W, 3) uint8 RGB.
 
     Sixteen bits keep their upper eight; alpha is dropped; grey is repeated; the EXIF orientation is applied.
@@ -129,7 +135,7 @@ def read_color(path: FilePath) -> NDArray[np.uint8]:
     Raises:
         InputError: The file cannot be decoded, or its pixels are not 8- or 16-bit.
     """
-    path = Path(path)
+    path = _located(path)
     if path.suffix.lower() == ".npy":
         return _color_from_array(_load_npy(path, "colour"), path)
     image = _open(path, "colour")
@@ -141,7 +147,7 @@ def read_color(path: FilePath) -> NDArray[np.uint8]:
         raise _undecodable(path, "colour", error) from error
 
 
-def _color_from_array(pixels: NDArray[np.generic], path: Path) -> NDArray[np.uint8]:
+def _color_from_array(pixels: NDArray[np.generic], path: Path | Upload) -> NDArray[np.uint8]:
     if pixels.dtype.kind not in "ui" or pixels.dtype.itemsize > 4:
         raise InputError(f"colour image {path} has {pixels.dtype} pixels; 8- or 16-bit whole numbers are allowed")
     grey = pixels.ndim == 2
@@ -155,7 +161,7 @@ def _color_from_array(pixels: NDArray[np.generic], path: Path) -> NDArray[np.uin
     return np.broadcast_to(np.atleast_3d(values)[..., :3], (*values.shape[:2], 3)).astype(np.uint8)
 
 
-def _read_depth_array(path: Path) -> NDArray[np.generic]:
+def _read_depth_array(path: Path | Upload) -> NDArray[np.generic]:
     """Return the stored numbers (H, W) of a depth file, unscaled."""
     if path.suffix.lower() == ".npy":
         array = _load_npy(path, "depth")
@@ -177,7 +183,7 @@ def _read_depth_array(path: Path) -> NDArray[np.generic]:
     return array
 
 
-def _to_metres(raw: NDArray[np.generic], path: Path, given: float | None, camera_scale: float | None) -> Array:
+def _to_metres(raw: NDArray[np.generic], path: Source, given: float | None, camera_scale: float | None) -> Array:
     is_float = raw.dtype.kind == "f"
     scale = given if given is not None else 1.0 if is_float else camera_scale or DEFAULT_DEPTH_SCALE
     values = raw.astype(np.float64)
@@ -195,10 +201,11 @@ def _to_metres(raw: NDArray[np.generic], path: Path, given: float | None, camera
     if not valid.size:
         raise InputError(f"depth {path} holds no return at all: every pixel is 0, NaN, infinite or saturated")
     _check_unit(np.percentile(valid, [5, 50]), scale, path, is_float=is_float)
-    return (values * scale).astype(np.float32)
+    metres = values * scale
+    return np.where(metres > NO_RETURN_M, 0, metres).astype(np.float32)
 
 
-def _check_unit(quantiles: NDArray[np.float64], scale: float, path: Path, *, is_float: bool) -> None:
+def _check_unit(quantiles: NDArray[np.float64], scale: float, path: Source, *, is_float: bool) -> None:
     near, median = (float(q) for q in quantiles * scale)
     if median >= NEAR_LIMIT_M and near <= REACH_LIMIT_M and median <= FAR_LIMIT_M:
         return
@@ -219,7 +226,7 @@ def _check_unit(quantiles: NDArray[np.float64], scale: float, path: Path, *, is_
     )
 
 
-def _read_workspace(path: Path, depth: Array) -> Mask:
+def _read_workspace(path: Path | Upload, depth: Array) -> Mask:
     if path.suffix.lower() == ".npy":
         pixels = _load_npy(path, "workspace mask")
     else:
@@ -244,19 +251,46 @@ def _read_workspace(path: Path, depth: Array) -> Mask:
     return mask
 
 
-def _intrinsics(calibration: Calibration, size_wh: tuple[int, int], path: FilePath) -> CameraIntrinsics:
+def read_npy(data: bytes) -> NDArray[np.generic]:
+    """Read an array from the content of a .npy file without unpickling anything.
+
+    Raises:
+        ValueError: The header is broken, asks for objects, or does not fit the length of the data.
+    """
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    if version == (1, 0):
+        shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(file)
+    elif version == (2, 0):
+        shape, is_fortran, dtype = np.lib.format.read_array_header_2_0(file)
+    else:
+        raise ValueError(f"its format version {version} is not supported")
+    if dtype.hasobject or dtype.fields is not None:
+        raise ValueError(f"it holds {dtype}, not numbers")
+    size = math.prod(shape) * dtype.itemsize
+    if size != len(data) - file.tell() or any(side < 0 for side in shape):
+        raise ValueError(f"its header asks for {size} bytes of {shape} {dtype}, but {len(data) - file.tell()} follow")
+    return np.frombuffer(data, dtype, offset=file.tell()).reshape(shape, order="F" if is_fortran else "C")
+
+
+def _located(source: Source) -> Path | Upload:
+    return Path(source) if isinstance(source, str) else source
+
+
+def _intrinsics(calibration: Calibration, size_wh: tuple[int, int], path: Source) -> CameraIntrinsics:
     try:
         return calibration.intrinsics(size_wh)
     except InputError as error:
         raise InputError(f"camera file {path}: {error}") from error
 
 
-def _open(path: Path, what: str) -> Image.Image:
-    require_file(path, f"{what} image")
+def _open(path: Path | Upload, what: str) -> Image.Image:
+    if isinstance(path, Path):
+        require_file(path, f"{what} image")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            image = Image.open(io.BytesIO(path.read_bytes()))
+            image = Image.open(io.BytesIO(path.read_bytes() if isinstance(path, Path) else path.data))
         except Exception as error:  # decoders raise many types on broken data
             raise _undecodable(path, what, error) from error
     if image.width * image.height > MAX_PIXELS:
@@ -266,7 +300,7 @@ def _open(path: Path, what: str) -> Image.Image:
     return image
 
 
-def _decoded(image: Image.Image, path: Path, what: str) -> Image.Image:
+def _decoded(image: Image.Image, path: Path | Upload, what: str) -> Image.Image:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -276,11 +310,11 @@ def _decoded(image: Image.Image, path: Path, what: str) -> Image.Image:
     return image
 
 
-def _pixels(image: Image.Image, path: Path, what: str) -> NDArray[np.generic]:
+def _pixels(image: Image.Image, path: Path | Upload, what: str) -> NDArray[np.generic]:
     return np.array(_decoded(image, path, what))
 
 
-def _undecodable(path: Path, what: str, error: Exception) -> InputError:
+def _undecodable(path: Path | Upload, what: str, error: Exception) -> InputError:
     if isinstance(error, Image.DecompressionBombError):
         reason = f"it is larger than the {MAX_PIXELS // 10**6} megapixels allowed"
     elif isinstance(error, Image.UnidentifiedImageError):
@@ -290,9 +324,12 @@ def _undecodable(path: Path, what: str, error: Exception) -> InputError:
     return InputError(f"{what} image {path} cannot be decoded: {reason}")
 
 
-def _load_npy(path: Path, what: str) -> NDArray[np.generic]:
-    require_file(path, f"{what} array")
+def _load_npy(path: Path | Upload, what: str) -> NDArray[np.generic]:
+    if isinstance(path, Path):
+        require_file(path, f"{what} array")
     try:
+        if isinstance(path, Upload):
+            return read_npy(path.data)
         array = np.lib.format.open_memmap(path, mode="r")
         if array.size > 4 * MAX_PIXELS:
             raise ValueError(f"its shape {array.shape} is too large")

@@ -87,6 +87,7 @@ def _contrast(lab: Array, surface: Mask, block: int = 8) -> Array:
     Far from any surface the surface's overall colour is taken.
     """
     h, w = surface.shape
+    block = min(block, h, w)
     H, W = h // block, w // block
     weight = surface[: H * block, : W * block].reshape(H, block, W, block).sum((1, 3)).astype(np.float32)
     total = np.where(surface[..., None], lab, 0)[: H * block, : W * block].reshape(H, block, W, block, 3).sum((1, 3))

@@ -1,0 +1,1 @@
+"""Decisions over HTTP: the server (`thinkgrasp serve`), the paper's own API beside ours, and clients."""
