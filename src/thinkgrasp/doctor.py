@@ -37,7 +37,7 @@ EXTRAS: dict[str, Extra] = {
     "viz": Extra("following an episode in the browser (demo --live)", True),
     "rerun": Extra("recording episodes for the rerun viewer", False),
     "ompl": Extra("RRT* and other motion planners", True),
-    "ray": Extra("benchmarks on several workers", False),
+    "ray": Extra("benchmarks on a cluster (bench run --ray)", True),
     "ur": Extra("a real UR5e with a Robotiq gripper (run)", True),
     "realsense": Extra("Intel RealSense cameras (run, calibrate)", True),
     "calibration": Extra("hand-eye calibration (calibrate)", True),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import socket
 import threading
 from collections import deque
 from collections.abc import Iterator
@@ -13,6 +14,9 @@ from thinkgrasp.benchmark.plan import BenchmarkPlan
 from thinkgrasp.benchmark.records import EpisodeRecord, Record, SceneRecord
 from thinkgrasp.benchmark.runner import THREAD_VARIABLES, Died, Group, Source, run_group
 from thinkgrasp.errors import ConfigError, MissingDependency
+
+CONNECT_S = 5.0
+"""Ray itself tries for minutes."""
 
 
 def ray_workers(address: str) -> Source:
@@ -31,6 +35,12 @@ def ray_workers(address: str) -> Source:
         from ray.exceptions import RayError
     except ModuleNotFoundError as error:
         raise MissingDependency("ray", "ray", "running a benchmark on a cluster") from error
+    host, colon, port = address.rpartition(":")
+    if colon and port.isdecimal() and "/" not in address:
+        try:
+            socket.create_connection((host, int(port)), CONNECT_S).close()
+        except (OSError, OverflowError) as error:
+            raise ConfigError(f"the Ray cluster {address!r} cannot be reached: {error}") from error
     environment = {"env_vars": dict.fromkeys(THREAD_VARIABLES, "1")}
     try:
         ray.init(
