@@ -43,8 +43,8 @@ def test_named_modules_and_tests_exist(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_commands_and_flags_exist(page, capsys):
-    for command, rest in re.findall(r"\$ thinkgrasp (\w+)((?:[^\n`]|\\\n)*)", page.read_text()):
-        assert cli.main([command, "--help"]) == 0
+    for command, rest in re.findall(r"\$ thinkgrasp ((?:bench )?\w+)((?:[^\n`]|\\\n)*)", page.read_text()):
+        assert cli.main([*command.split(), "--help"]) == 0
         usage = capsys.readouterr().out
         for flag in re.findall(r" (--[a-z-]+)", rest):
             assert flag in usage, f"{command} {flag}"

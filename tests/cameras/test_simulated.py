@@ -73,7 +73,7 @@ def test_the_workspace_is_where_the_measured_points_lie_in_the_box(world):
 
 
 def test_frames_carry_no_truth(world):
-    assert {f.name for f in fields(Frame)} == {"color", "depth", "camera", "T_world_camera", "workspace"}
+    assert {f.name for f in fields(Frame)} == {"color", "depth", "camera", "T_world_camera", "workspace", "others"}
     frame = SimulatedCamera(world, VIEW).read()
     assert set(vars(frame)) == {f.name for f in fields(Frame)}
     assert isinstance(frame.camera, CameraIntrinsics)

@@ -46,8 +46,9 @@ def files(**changes: bytes) -> dict[str, tuple[str, bytes, str]]:
 def assert_same_grasp(answer: dict) -> None:
     """The fingertips, the approach and the closing direction are those of the local decision, in the camera's frame."""
     assert set(answer) == {"xyz", "rot", "dep"}
-    grasp = make_pipeline("offline").decide(FRAME, "the red box").grasp
-    assert grasp is not None
+    decision = make_pipeline("offline").decide(FRAME, "the red box")
+    grasp = decision.grasp
+    assert grasp is not None, (decision.status, decision.plan.rationale, decision.funnel, decision.degraded)
     xyz, rot, dep = np.array(answer["xyz"]), np.array(answer["rot"]), answer["dep"]
     np.testing.assert_allclose(rot @ rot.T, np.eye(3), atol=1e-6)
     assert np.linalg.det(rot) == pytest.approx(1)
