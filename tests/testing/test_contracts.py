@@ -11,6 +11,7 @@ from fakes.stages import FakeCheck, FakeGenerator, FakePlanner, FakeScene, FakeS
 
 from thinkgrasp import testing
 from thinkgrasp.errors import ConfigError, ContractError, InputError
+from thinkgrasp.testing.scenes import sample_frame, sample_scene
 from thinkgrasp.types import Degradation, Frame, Grasps, Obstruction, Outcome, Plan, PlannedObject, Scene
 
 
@@ -242,17 +243,6 @@ def test_broken_generators(plugin, message):
         testing.check_generator(plugin)
 
 
-@pytest.fixture
-def fresh_samples():
-    """The samples are shared in a process; a plug-in that spoils one must not spoil other tests."""
-    yield
-    from thinkgrasp.testing import scenes
-
-    for function in (scenes._rendering, scenes.sample_frame, scenes.sample_scene, scenes.empty_scene):
-        function.cache_clear()
-    scenes.strict_scene.cache_clear()
-
-
 @pytest.mark.parametrize(
     ("check", "plugin"),
     [
@@ -260,9 +250,12 @@ def fresh_samples():
         (testing.check_generator, CropWriter()),
     ],
 )
-def test_inputs_must_not_be_changed(check, plugin, fresh_samples):
+def test_inputs_must_not_be_changed_and_are_as_before(check, plugin):
+    depth, mask = sample_frame().depth.copy(), sample_scene().proposals[0].mask.copy()
     with pytest.raises(ContractError, match=r"input array .* was changed"):
         check(plugin)
+    assert np.array_equal(sample_frame().depth, depth)
+    assert np.array_equal(sample_scene().proposals[0].mask, mask)
 
 
 class FailsOnNone:
