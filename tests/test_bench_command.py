@@ -41,6 +41,7 @@ def test_a_benchmark_runs_goes_on_and_runs_again(tmp_path, cli: Callable):
     assert "same results: all 1 episodes that both hold are identical step by step" in result.out
     plan = json.loads((second / "benchmark.json").read_bytes())
     assert plan["methods"] == json.loads((first / "benchmark.json").read_bytes())["methods"]
+    assert len(plan["sessions"]) == 1
     assert len(read_records(second).scenes) == 1
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -87,7 +87,7 @@ class BenchRun:
                 raise ConfigError("--again takes everything from its folder; leave out --suite and --preset")
             if (self.out / PLAN_FILE).exists() and self.out.samefile(self.again):
                 raise ConfigError("--again and --out are one folder; without --again, --out goes on where it was cut")
-            return read_plan(self.again)
+            return replace(read_plan(self.again), sessions=())
         if self.suite is None:
             if not (self.out / PLAN_FILE).exists():
                 raise ConfigError(f"{self.out} holds no benchmark yet: add --suite (clutter, heavy, ...)")
