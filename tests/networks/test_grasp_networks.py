@@ -12,6 +12,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs thinkgrasp[graspnet]")
 
+from fakes.gpu import needs_gpu  # noqa: E402
 from fakes.grasp_networks import GOLDEN, NETWORKS, golden, random_weights, save, table_cloud, weights_of  # noqa: E402
 
 from thinkgrasp.errors import ConfigError, InputError  # noqa: E402
@@ -307,7 +308,7 @@ def test_the_same_cloud_gives_the_same_rows_and_stays_as_it_is():
     assert np.array_equal(cloud, before)
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@needs_gpu
 @needs_golden
 @pytest.mark.parametrize("name", NETWORKS)
 def test_a_gpu_gives_the_same(name):

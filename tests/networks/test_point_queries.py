@@ -99,7 +99,10 @@ def test_furthest_points_follow_the_kernel(case, points):
     order = point_queries._tie_order(len(points), torch.device("cpu"))
     order = order[squared[order] > 1e-3]
     if len(order):
-        assert point_queries._picks_on_device(tensor(points), order, 40)[0].tolist() == picked
+        found, in_order = point_queries._picks_on_device(tensor(points), order, 40)
+        assert found.tolist() == picked
+        assert in_order == (case in ("about the origin", "random", "slabs", "pairs"))
+        assert in_order == (fps_as_threads(points[picked], 40) == list(range(40)))
 
 
 def test_points_about_the_origin_alone_pick_the_first():
@@ -124,19 +127,19 @@ CLOUDS = {
 }
 
 
-@pytest.mark.parametrize("by_product", [True, False])
+def scan_all(points, centers, reach, *rest):
+    return point_queries._scan_all(points, centers, *rest)
+
+
+@pytest.mark.parametrize("as_on_a_gpu", [False, True])
 @pytest.mark.parametrize("name", CLOUDS)
-def test_queries_equal_a_direct_search(name, by_product, monkeypatch):
+def test_queries_equal_a_direct_search(name, as_on_a_gpu, monkeypatch):
     cloud = CLOUDS[name]
     rng = np.random.default_rng(0)
     centers = np.concatenate([cloud[rng.integers(0, len(cloud), 60)], cloud[:1] + F32(5)])
-    made = point_queries._NearPairs.__init__
-
-    def init(self, *args):
-        made(self, *args)
-        self._by_product = by_product
-
-    monkeypatch.setattr(point_queries._NearPairs, "__init__", init)
+    if as_on_a_gpu:
+        monkeypatch.setattr(point_queries, "_scan_near", scan_all)
+        monkeypatch.setattr(point_queries, "_PAIRS_PER_BLOCK", 7 * len(cloud))
     d = cloud[None] - centers[:, None]
     squared = (d[..., 0] * d[..., 0] + d[..., 1] * d[..., 1]) + d[..., 2] * d[..., 2]
     for radius, count in ((0.0625, 64), (0.125, 7)):

@@ -12,6 +12,12 @@ from fakes.vlpart import golden  # noqa: E402
 from thinkgrasp.networks import roi  # noqa: E402
 
 
+@pytest.fixture(params=["as on the CPU", "as on a GPU"], autouse=True)
+def blocks(request, monkeypatch):
+    if request.param == "as on a GPU":
+        monkeypatch.setattr(roi, "_blocks_alike", roi._blocks_of_any)
+
+
 @pytest.mark.parametrize(
     ("key", "factor", "scale", "size", "ratio"),
     [

@@ -11,6 +11,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs thinkgrasp[graspnet]")
 
+from fakes.gpu import needs_gpu  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
 
 from thinkgrasp.errors import ConfigError, InputError  # noqa: E402
@@ -73,6 +74,16 @@ def test_the_same_voxels_are_chosen(views, variant):
     np.testing.assert_allclose(
         Rotation.from_quat(found.voxels.quat_xyzw).as_matrix(), data[f"{key}R_task_grasp"], atol=1e-4
     )
+
+
+@needs_gpu
+@needs_golden
+@pytest.mark.parametrize("views", ["single", "multi"])
+def test_a_gpu_gives_the_same(views):
+    (found,) = vgn.predict(vgn.load_vgn(WEIGHTS, "cuda"), golden()[f"{views}_tsdf_grid"].reshape(1, 40, 40, 40))
+    np.testing.assert_allclose(found.quality, golden()[f"{views}_qual_raw"], atol=1e-4)
+    np.testing.assert_allclose(found.rotation_xyzw, golden()[f"{views}_rot_raw"], atol=1e-4)
+    np.testing.assert_allclose(found.width_voxels, golden()[f"{views}_width_raw"], atol=1e-4)
 
 
 @needs_golden

@@ -13,6 +13,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="needs thinkgrasp[langsam]")
 
+from fakes.gpu import needs_gpu  # noqa: E402
 from fakes.vlpart import SHARED, TINY, golden, tiny_weights  # noqa: E402
 from PIL import Image  # noqa: E402
 
@@ -130,6 +131,17 @@ def test_looking_once_and_asking_is_the_traced_chain(prefix):
     assert torch.equal(found.classes, steps["out_classes"])
     close(found.boxes, g[f"{prefix}/out_boxes"], 0.05, 0)
     close(found.scores, g[f"{prefix}/out_scores"], 1e-3, 0)
+
+
+@needs_gpu
+@pytest.mark.parametrize("prefix", VARIANTS)
+def test_a_gpu_gives_the_same(prefix):
+    g, (model, _) = golden("golden_vlpart"), run(prefix)
+    on_gpu = vp.load_vlpart(model.state_dict(), model.config, device="cuda")[0]
+    found = on_gpu.detect(on_gpu.regions(g["image_rgb"]), t(g, f"text_embed_{prefix}").to("cuda"))
+    close(found.boxes.cpu(), g[f"{prefix}/out_boxes"], 0.05, 0)
+    close(found.scores.cpu(), g[f"{prefix}/out_scores"], 1e-3, 0)
+    assert found.classes.tolist() == g[f"{prefix}/out_classes"].tolist()
 
 
 # Piece by piece: each golden input into one piece.
@@ -418,6 +430,17 @@ def test_half_precision_is_near():
     rough = half.regions(RGB)
     assert rough.boxes.dtype == rough.queries.dtype == torch.float32
     assert len(half.detect(rough, texts()).boxes) > 0
+    assert len(rough.boxes) > 0.9 * len(regions.boxes)
+
+
+@needs_gpu
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
+def test_half_precision_on_a_gpu_is_near(dtype):
+    regions = tiny().regions(RGB)
+    half = vp.load_vlpart(tiny_weights(), TINY, device="cuda", dtype=dtype)[0]
+    rough = half.regions(RGB)
+    assert rough.boxes.dtype == rough.queries.dtype == torch.float32
+    assert len(half.detect(rough, texts().to("cuda")).boxes) > 0
     assert len(rough.boxes) > 0.9 * len(regions.boxes)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from fakes.gpu import needs_gpu
 from fakes.models import SIZES_WH, model, picture
 
 torch = pytest.importorskip("torch", reason="needs thinkgrasp[langsam]")
@@ -112,6 +113,18 @@ def test_another_phrase_does_not_run_the_backbone():
     for phrase in PHRASES:
         without.detect(first, [phrase])
     assert len(calls) == 3
+
+
+@needs_gpu
+@pytest.mark.parametrize("wh", SIZES_WH)
+def test_a_gpu_gives_the_same(wh, everything):
+    settings = {"box_threshold": 0.0, "text_threshold": 0.0, "max_iou": 1.0}
+    on_gpu = GroundingDino(model("grounding_dino"), device="cuda", **settings)
+    for ours, found in zip(everything.detect(picture(*wh), PHRASES), on_gpu.detect(picture(*wh), PHRASES), strict=True):
+        assert equal(ours, found, 1e-4)
+    for dtype in ("bfloat16", "float16"):
+        half = GroundingDino(model("grounding_dino"), device="cuda", dtype=dtype, **settings)
+        assert all(np.isfinite(found.scores).all() and len(found.boxes) for found in half.detect(picture(*wh), PHRASES))
 
 
 def test_what_was_cached_changes_nothing():

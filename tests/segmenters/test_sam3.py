@@ -8,6 +8,7 @@ import shutil
 
 import numpy as np
 import pytest
+from fakes.gpu import needs_gpu
 from fakes.models import SIZES_WH, model, picture
 
 torch = pytest.importorskip("torch", reason="needs thinkgrasp[langsam]")
@@ -148,6 +149,21 @@ def test_half_precision():
     sam = network(dtype="bfloat16")
     assert np.isfinite(sam.find(picture(224, 224), ["red mug"])[0].scores).all()
     assert np.isfinite(sam.masks(picture(224, 224), BOXES).scores).all()
+
+
+@needs_gpu
+@pytest.mark.parametrize("wh", SIZES_WH)
+def test_a_gpu_gives_the_same(wh):
+    on_gpu = Sam3(model("sam3"), device="cuda", score_threshold=0.0)
+    for expected, found in zip(network().find(picture(*wh), PHRASES), on_gpu.find(picture(*wh), PHRASES), strict=True):
+        np.testing.assert_allclose(found.scores, expected.scores, atol=1e-4)
+        assert (found.masks == expected.masks).mean() > 0.999
+    by_box, on_it = network().masks(picture(*wh), BOXES), on_gpu.masks(picture(*wh), BOXES)
+    np.testing.assert_allclose(on_it.scores, by_box.scores, atol=1e-4)
+    assert (on_it.masks == by_box.masks).mean() > 0.999
+    for dtype in ("bfloat16", "float16"):
+        half = Sam3(model("sam3"), device="cuda", dtype=dtype, score_threshold=0.0)
+        assert np.isfinite(half.find(picture(*wh), PHRASES)[0].scores).all()
 
 
 def test_the_published_layout_with_its_tracker_is_read(tmp_path):

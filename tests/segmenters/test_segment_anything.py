@@ -7,6 +7,7 @@ import weakref
 
 import numpy as np
 import pytest
+from fakes.gpu import needs_gpu
 from fakes.models import SIZES_WH, model, picture
 
 torch = pytest.importorskip("torch", reason="needs thinkgrasp[langsam]")
@@ -116,6 +117,19 @@ def test_half_precision(kind):
     found = SegmentAnything(model(kind), device="cpu", dtype="bfloat16").masks(picture(224, 224), boxes((224, 224)))
     assert found.scores.dtype == np.float32
     assert np.isfinite(found.scores).all()
+
+
+@needs_gpu
+@pytest.mark.parametrize("wh", SIZES_WH)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_gpu_gives_the_same(kind, wh):
+    expected = SegmentAnything(model(kind), device="cpu").masks(picture(*wh), boxes(wh, 11))
+    found = SegmentAnything(model(kind), device="cuda").masks(picture(*wh), boxes(wh, 11))
+    assert (found.masks == expected.masks).mean() > 0.999
+    np.testing.assert_allclose(found.scores, expected.scores, atol=1e-4)
+    for dtype in ("bfloat16", "float16"):
+        half = SegmentAnything(model(kind), device="cuda", dtype=dtype).masks(picture(*wh), boxes(wh, 11))
+        assert np.isfinite(half.scores).all()
 
 
 def test_the_same_model_is_held_once_while_it_is_in_use():

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from thinkgrasp.errors import ConfigError, InputError
-from thinkgrasp.networks.checkpoint import load_strictly
+from thinkgrasp.networks.checkpoint import load_strictly, ready
 from thinkgrasp.networks.point_queries import ORIGIN_SQUARED_M
 from thinkgrasp.networks.pointnet2 import Seeds, folded, through
 
@@ -212,7 +212,7 @@ class GraspNetwork(nn.Module):
         if broken:
             raise ConfigError(f"{cls.what}: {len(broken)} tensors hold values that are not finite, such as {broken[0]}")
         network.check_weights(weights)
-        return network.eval().requires_grad_(False).to(device)
+        return ready(network, device)
 
     def check_weights(self, weights: Mapping[str, Tensor]) -> None:
         """Raise ConfigError where weights that fit by name and shape cannot be this network's."""

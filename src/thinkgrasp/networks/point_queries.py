@@ -26,6 +26,10 @@ _THREADS = 512
 _BLOCK = 256
 _POINTS_PER_BLOCK = 2048
 _CENTERS_PER_BLOCK = 512
+_PAIRS_PER_BLOCK = 1 << 24
+_PICKS_PER_RECORD = 32
+Hits = Callable[[Tensor, Tensor], list[Tensor]]
+"""From offsets (..., 3) of points to centres, and the centres' indices (...), to a mask (...) per layer: exact."""
 
 
 def furthest_points(points: Tensor, count: int) -> tuple[Tensor, bool]:
@@ -41,13 +45,13 @@ def furthest_points(points: Tensor, count: int) -> tuple[Tensor, bool]:
 
     Returns:
         Indices (count,) int64, and whether no pick is known to have been a tie or a repeat: then the same picks, made
-        from these points in this order, are the first of them. On CUDA that is not known.
+        from these points in this order, are the first of them.
 
     Raises:
         InputError: There is no point.
     """
     _check_points(points)
-    squared = _squared(points.T)
+    squared = _squared(*points.T)
     order = _tie_order(len(points), points.device)
     order = order[squared[order].double() > ORIGIN_SQUARED_M]
     if len(order) == 0:
@@ -109,17 +113,50 @@ def _picks_on_cpu(points: Tensor, order: Tensor, count: int) -> tuple[Tensor, bo
 
 
 def _picks_on_device(points: Tensor, order: Tensor, count: int) -> tuple[Tensor, bool]:
-    """The same loop without waiting for the device."""
+    """The same loop without waiting for the device; what is launched is recorded once, since launching costs most."""
     candidates = points[order].T.contiguous()
-    picked = torch.zeros(count, dtype=torch.long, device=points.device)
+    difference = torch.empty_like(candidates)
     far = torch.full((len(order),), _FAR, device=points.device)
-    last = points[0][:, None]
-    for i in range(1, count):
-        torch.minimum(far, _squared(candidates - last), out=far)
-        k = far.argmax(keepdim=True)
-        picked[i : i + 1] = order[k]
-        last = candidates.index_select(1, k)
-    return picked, False
+    last = points[0][:, None].clone()
+    picks = torch.zeros(_PICKS_PER_RECORD, dtype=torch.long, device=points.device)
+
+    def pick() -> None:
+        for slot in picks.split(1):
+            torch.sub(candidates, last, out=difference)
+            difference.square_()
+            torch.minimum(far, difference[0].add_(difference[1]).add_(difference[2]), out=far)
+            torch.argmax(far, dim=0, keepdim=True, out=slot)
+            torch.index_select(candidates, 1, slot, out=last)
+
+    pick()
+    chosen = [picks.clone()]
+    further = -(-(count - 1) // _PICKS_PER_RECORD) - 1
+    if further > 0:
+        again = _recorded(pick, points.device) if points.device.type == "cuda" else pick
+        for _ in range(further):
+            again()
+            chosen.append(picks.clone())
+    picked = torch.cat([picks.new_zeros(1), order[torch.cat(chosen)]])[:count]
+    return picked, _in_order(points[picked])
+
+
+def _in_order(points: Tensor) -> bool:
+    """Return whether each point (n, 3) is the one that lies furthest from those before it, and no other as far."""
+    difference = points[:, None] - points
+    nearest = _squared(*difference.unbind(-1)).cummin(dim=0).values
+    two = nearest[:-1].topk(min(2, len(points)), dim=1)
+    follows = two.indices[:, 0] == torch.arange(1, len(points), device=points.device)
+    return bool((follows & (two.values[:, 0] > two.values[:, -1])).all())
+
+
+def _recorded(launch: Callable[[], None], device: torch.device) -> Callable[[], None]:
+    """Record what a call launches on CUDA, without running it, and return the call that runs it."""
+    graph, stream = torch.cuda.CUDAGraph(), torch.cuda.Stream(device)
+    with torch.cuda.stream(stream):
+        graph.capture_begin(capture_error_mode="thread_local")
+        launch()
+        graph.capture_end()
+    return graph.replay
 
 
 def ball_query(points: Tensor, centers: Tensor, radius: float, count: int) -> Tensor:
@@ -136,8 +173,8 @@ def ball_query(points: Tensor, centers: Tensor, radius: float, count: int) -> Te
     """
     limit = float(np.float32(radius) * np.float32(radius))
 
-    def hits(row: Tensor, column: Tensor) -> list[Tensor]:
-        return [_squared((points.index_select(0, column) - centers.index_select(0, row)).T) < limit]
+    def hits(offsets: Tensor, _: Tensor) -> list[Tensor]:
+        return [_squared(*offsets.unbind(-1)) < limit]
 
     return _first_hits(points, centers, radius, count, 1, hits)[0]
 
@@ -162,8 +199,8 @@ def cylinder_query(
     limit = float(np.float32(radius) * np.float32(radius))
     least, mosts = float(np.float32(low)), [float(np.float32(high)) for high in highs]
 
-    def hits(row: Tensor, column: Tensor) -> list[Tensor]:
-        x, y, z = turned(points.index_select(0, column) - centers.index_select(0, row), rotations.index_select(0, row))
+    def hits(offsets: Tensor, row: Tensor) -> list[Tensor]:
+        x, y, z = turned(offsets, rotations.index_select(0, row.flatten()).unflatten(0, row.shape))
         inside = (y * y + z * z < limit) & (x > least)
         return [inside & (x < most) for most in mosts]
 
@@ -201,9 +238,8 @@ def three_nearest(unknown: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
     return torch.cat(distances, 1), torch.cat(indices, 1)
 
 
-def _squared(d: Tensor) -> Tensor:
-    """Squared length (...) of vectors (3, ...), summed in the kernels' order."""
-    x, y, z = d[0], d[1], d[2]
+def _squared(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
+    """Squared length of vectors, summed in the kernels' order."""
     return x * x + y * y + z * z
 
 
@@ -212,17 +248,8 @@ def _check_points(points: Tensor) -> None:
         raise InputError(f"points must be (N, 3) with at least one point, got {tuple(points.shape)}")
 
 
-def _first_hits(
-    points: Tensor,
-    centers: Tensor,
-    reach: float,
-    count: int,
-    layers: int,
-    hits: Callable[[Tensor, Tensor], list[Tensor]],
-) -> Tensor:
-    """Scan the points block by block until every centre has its hits in every layer.
-
-    Pairs within about `reach` come first, with room for rounding; `hits` decides on each of them exactly.
+def _first_hits(points: Tensor, centers: Tensor, reach: float, count: int, layers: int, hits: Hits) -> Tensor:
+    """Give every centre its hits in every layer.
 
     Args:
         points: (N, 3).
@@ -230,12 +257,39 @@ def _first_hits(
         reach: No hit is further from its centre.
         count: Slots.
         layers: How many answers for each centre.
-        hits: From centre and point indices (K,) to a mask (K,) per layer.
+        hits: Decides.
 
     Returns:
         Indices (layers, M, count).
     """
     _check_points(points)
+    if points.device.type == "cpu":
+        found, have = _scan_near(points, centers, reach, count, layers, hits)
+    else:
+        found, have = _scan_all(points, centers, count, layers, hits)
+    free = torch.arange(count, device=points.device) >= have[..., None]
+    return torch.where(free, found[..., :1], found)
+
+
+def _scan_all(points: Tensor, centers: Tensor, count: int, layers: int, hits: Hits) -> tuple[Tensor, Tensor]:
+    """Look at every pair, without waiting for the device; return indices (layers, M, count) and how many count."""
+    n, m = len(points), len(centers)
+    found = torch.zeros(layers, m, count, dtype=torch.long, device=points.device)
+    have = torch.zeros(layers, m, dtype=torch.long, device=points.device)
+    numbers = torch.arange(n, dtype=torch.int32, device=points.device)
+    rows, step = torch.arange(m, device=points.device)[:, None], max(1, _PAIRS_PER_BLOCK // n)
+    for block in (slice(start, start + step) for start in range(0, m, step)):
+        for layer, hit in enumerate(hits(points - centers[block, None], rows[block])):
+            first = torch.where(hit, numbers, n).topk(min(count, n), dim=1, largest=False).values
+            found[layer, block, : first.shape[1]] = first
+            have[layer, block] = hit.sum(dim=1)
+    return found.where(found < n, 0), have
+
+
+def _scan_near(
+    points: Tensor, centers: Tensor, reach: float, count: int, layers: int, hits: Hits
+) -> tuple[Tensor, Tensor]:
+    """Look at the pairs within about `reach`, block by block until every centre has its hits in every layer."""
     device, m = points.device, len(centers)
     found = torch.zeros(layers, m, count, dtype=torch.long, device=device)
     have = torch.zeros(layers, m, dtype=torch.long, device=device)
@@ -246,7 +300,7 @@ def _first_hits(
             break
         for rows in waiting.split(_CENTERS_PER_BLOCK):
             row, column = near.within(rows, slice(start, start + _POINTS_PER_BLOCK))
-            for layer, hit in enumerate(hits(row, column)):
+            for layer, hit in enumerate(hits(points.index_select(0, column) - centers.index_select(0, row), row)):
                 hit_row, hit_column = row[hit], column[hit]
                 new = torch.bincount(hit_row, minlength=m)
                 before = have[layer] - torch.cumsum(new, 0) + new
@@ -254,8 +308,7 @@ def _first_hits(
                 kept = slot < count
                 found[layer].view(-1)[hit_row[kept] * count + slot[kept]] = hit_column[kept]
                 have[layer] += new
-    free = torch.arange(count, device=device) >= have[..., None]
-    return torch.where(free, found[..., :1], found)
+    return found, have
 
 
 class _NearPairs:
@@ -271,17 +324,11 @@ class _NearPairs:
         self._limit = reach * reach * (1 + 1e-5) + 4e-6 * (spread + reach * largest)
         self._left = torch.cat([self._centers, squares[1], torch.ones_like(squares[1])], dim=1)
         self._right = torch.cat([-2 * self._points, torch.ones_like(squares[0]), squares[0]], dim=1)
-        self._by_product = points.device.type == "cpu"  # elsewhere, a product may run in reduced precision
 
     def within(self, rows: Tensor, block: slice) -> tuple[Tensor, Tensor]:
         """Return centre indices (K,), ascending, and point indices (K,), ascending for each of them."""
-        if self._by_product:
-            rough = self._left[rows] @ self._right[block].T
-            # numpy compares and collects several times faster than torch does on a processor.
-            pair = torch.from_numpy(np.flatnonzero(rough.numpy() <= self._limit))
-        else:
-            mode = "donot_use_mm_for_euclid_dist"
-            rough = torch.cdist(self._centers[rows], self._points[block], compute_mode=mode).square_()
-            pair = (rough <= self._limit).flatten().nonzero()[:, 0]
+        rough = self._left[rows] @ self._right[block].T
+        # numpy compares and collects several times faster than torch does on a processor.
+        pair = torch.from_numpy(np.flatnonzero(rough.numpy() <= self._limit))
         row = pair // rough.shape[1]
         return rows.index_select(0, row), pair - row * rough.shape[1] + block.start

@@ -73,31 +73,49 @@ def _pool_into(
         samples = torch.ceil(lengths / size).long().clamp_(min=0)
     else:
         samples = torch.full_like(lengths, sampling_ratio, dtype=torch.int64)
-    for gx, gy in torch.unique(samples, dim=0).tolist():
-        if gx == 0 or gy == 0:
-            continue
-        members = ((samples[:, 0] == gx) & (samples[:, 1] == gy)).nonzero()[:, 0]
-        for rows in members.split(max(1, MAX_ENTRIES // (size * size * (gx + 1) * (gy + 1)))):
-            columns, weights_x = _taps(scaled[rows, 0], lengths[rows, 0], gx, size, width)
-            lines, weights_y = _taps(scaled[rows, 1], lengths[rows, 1], gy, size, height)
-            bags = lines[:, :, None, :, None] * width + columns[:, None, :, None, :]
-            weights = weights_y[:, :, None, :, None] * weights_x[:, None, :, None, :]
-            bags = bags.reshape(len(rows) * size * size, -1)
-            weights = weights.reshape(bags.shape).to(cells.dtype)
-            sums = functional.embedding_bag(bags, cells, mode="sum", per_sample_weights=weights)
-            pooled.index_copy_(0, into[rows], sums.view(len(rows), size * size, channels))
+    blocks = _blocks_alike(samples, size) if samples.device.type == "cpu" else _blocks_of_any(samples, size)
+    for rows in blocks:
+        columns, weights_x = _taps(scaled[rows, 0], lengths[rows, 0], samples[rows, 0], size, width)
+        lines, weights_y = _taps(scaled[rows, 1], lengths[rows, 1], samples[rows, 1], size, height)
+        bags = lines[:, :, None, :, None] * width + columns[:, None, :, None, :]
+        weights = weights_y[:, :, None, :, None] * weights_x[:, None, :, None, :]
+        bags = bags.reshape(len(rows) * size * size, -1)
+        weights = weights.reshape(bags.shape).to(cells.dtype)
+        sums = functional.embedding_bag(bags, cells, mode="sum", per_sample_weights=weights)
+        pooled.index_copy_(0, into[rows], sums.view(len(rows), size * size, channels))
 
 
-def _taps(start: Tensor, length: Tensor, samples: int, size: int, extent: int) -> tuple[Tensor, Tensor]:
+def _blocks_alike(samples: Tensor, size: int) -> list[Tensor]:
+    """Part the boxes that have samples (N, 2) into blocks with the same ones: no box costs more for another."""
+    return [
+        rows
+        for gx, gy in torch.unique(samples, dim=0).tolist()
+        if gx and gy
+        for rows in _split(((samples[:, 0] == gx) & (samples[:, 1] == gy)).nonzero()[:, 0], gx, gy, size)
+    ]
+
+
+def _blocks_of_any(samples: Tensor, size: int) -> list[Tensor]:
+    """Part them into few blocks, each box padded to the largest one: on a GPU, what is launched costs most."""
+    rows = (samples > 0).all(dim=1).nonzero()[:, 0]
+    return _split(rows, *samples[rows].amax(dim=0).tolist(), size, room=16) if len(rows) else []
+
+
+def _split(rows: Tensor, gx: int, gy: int, size: int, room: int = 1) -> list[Tensor]:
+    return list(rows.split(max(1, room * MAX_ENTRIES // (size * size * (gx + 1) * (gy + 1)))))
+
+
+def _taps(start: Tensor, length: Tensor, samples: Tensor, size: int, extent: int) -> tuple[Tensor, Tensor]:
     """Return the cells (N, size, T) that the bins of one axis read, and their weights in the bins' means.
 
     A sample between two cells reads both; within one cell of the border it reads the border, further out nothing.
     """
-    steps = torch.arange(samples, device=start.device, dtype=torch.float32)
+    steps = torch.arange(int(samples.max()), device=start.device, dtype=torch.float32)
     bins = torch.arange(size, device=start.device, dtype=torch.float32)
-    places = bins[:, None] + (steps + 0.5) / samples
+    per_bin = samples.float()[:, None, None]
+    places = bins[:, None] + (steps + 0.5) / per_bin
     at = start[:, None, None] + (length / size)[:, None, None] * places
-    counts = ((at >= -1) & (at <= extent)).float() / samples
+    counts = ((at >= -1) & (at <= extent) & (steps < per_bin)).float() / per_bin
     at = at.clamp(min=0, max=extent - 1)
     low = at.long()
     beyond = (at - low) * counts

@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from thinkgrasp.errors import InputError
-from thinkgrasp.networks.checkpoint import load_strictly, read_checkpoint
+from thinkgrasp.networks.checkpoint import load_strictly, read_checkpoint, ready
 from thinkgrasp.networks.tsdf import fuse
 from thinkgrasp.types import CameraIntrinsics
 
@@ -149,7 +149,7 @@ def load_vgn(weights: str | Path, device: torch.device | str = "cpu") -> Vgn:
     """
     network = Vgn()
     load_strictly(network, read_checkpoint(weights, what=_WHAT), what=_WHAT)
-    return network.eval().requires_grad_(False).to(device)
+    return ready(network, device)
 
 
 def predict(network: Vgn, grids: Float) -> list[Prediction]:

@@ -27,7 +27,7 @@ from thinkgrasp.errors import ConfigError, InputError
 from thinkgrasp.networks import boxes as bx
 from thinkgrasp.networks import proposals as rpn
 from thinkgrasp.networks.cascade_head import CascadeHead
-from thinkgrasp.networks.checkpoint import load_strictly
+from thinkgrasp.networks.checkpoint import load_strictly, ready
 from thinkgrasp.networks.fpn import FeaturePyramid
 from thinkgrasp.networks.swin import SwinConfig, SwinTransformer
 
@@ -232,8 +232,7 @@ def load_vlpart(
     with torch.device("meta"):
         model = VLPart(config or VLPartConfig())
     unused = load_strictly(model, weights, what=WHAT, assign=True)
-    model = model.requires_grad_(False).to(device, dtype).to(memory_format=torch.channels_last)  # pyright: ignore
-    return model.eval(), unused
+    return ready(model, device, dtype).to(memory_format=torch.channels_last), unused  # pyright: ignore
 
 
 def network_size(size_hw: tuple[int, int], config: VLPartConfig) -> tuple[int, int]:

@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 from thinkgrasp.errors import ConfigError, MissingDependency
-from thinkgrasp.networks.checkpoint import choose_device
+from thinkgrasp.networks.checkpoint import choose_device, ready
 from thinkgrasp.networks.torch_install import CURE, torchvision_problem
 from thinkgrasp.weights import locate_model, weight_files
 
@@ -117,7 +117,7 @@ def load_model(
     if missing:
         some = ", ".join(missing[:MAX_TOLD]) + (", ..." if len(missing) > MAX_TOLD else "")
         raise ConfigError(f"{what}: the weights in {folder} lack {len(missing)} tensors ({some})")
-    return model.eval().requires_grad_(False).to(place)
+    return ready(model, place)
 
 
 def load_tokenizer(folder: Path, *, what: str) -> Any:
