@@ -25,7 +25,10 @@ SEEN_GROUPS = (STATIC_GROUP, ROBOT_GROUP, OBJECT_GROUP)
 _MIN_RAYS_PER_THREAD = 4096
 _CHUNKS_PER_THREAD = 8
 _CUTOFF_M = 1e10
-THREADS = min(4, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+_ALLOWED = os.environ.get("OMP_NUM_THREADS", "")
+_CPUS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+THREADS = int(_ALLOWED) if _ALLOWED.isdecimal() and int(_ALLOWED) > 0 else min(4, _CPUS)
+"""As OMP_NUM_THREADS says, which a benchmark's workers set to one; else one per CPU, up to four."""
 
 
 @dataclass(frozen=True, eq=False)
