@@ -8,11 +8,11 @@ from pathlib import Path
 
 from PIL import Image
 
+from thinkgrasp.commands.stages import DEFAULT_STAGES, StageOptions
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.outputs import OVERLAY_SUFFIXES, write_atomic
 from thinkgrasp.schema import DecisionModel
 from thinkgrasp.server.client import Client
-from thinkgrasp.stage_options import DEFAULT_STAGES, StageOptions
 from thinkgrasp.types import Frame
 
 CLIENTS_OWN = ("seed", "debug")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,8 +9,9 @@ from typing import Annotated
 import tyro
 from tyro.conf import UseAppendAction, arg
 
+from thinkgrasp.commands.stages import ASK_NOTHING, DEFAULT_STAGES, StageOptions, configure
+from thinkgrasp.commands.terminal import DONE, progress
 from thinkgrasp.errors import ConfigError, MissingDependency
-from thinkgrasp.stage_options import ASK_NOTHING, DEFAULT_STAGES, StageOptions, configure
 
 
 @dataclass(frozen=True)
@@ -87,10 +87,10 @@ class ServeCommand:
         )
         recipe = Recipe(config, limits.pixels, debug=self.stages.debug)
         serve(recipe, options, host=self.host, port=self.port, on_listening=self._say)
-        return 0
+        return DONE
 
     def _say(self, url: str) -> None:
-        print(f"thinkgrasp serves preset {self.stages.preset} at {url} (interface: {url}/docs)", file=sys.stderr)
+        progress(f"thinkgrasp serves preset {self.stages.preset} at {url} (interface: {url}/docs)")
 
 
 def _timeout(text: str) -> tuple[str, float]:

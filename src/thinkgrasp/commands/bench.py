@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes, OmitSubcommandPrefixes, Positional, arg, subcommand
 
+from thinkgrasp.commands.terminal import DONE, NOTHING, progress
 from thinkgrasp.errors import ConfigError, InputError, MissingDependency
-from thinkgrasp.outputs import make_folder, one_line
+from thinkgrasp.outputs import make_folder
 
 if TYPE_CHECKING:
     from thinkgrasp.benchmark.plan import BenchmarkPlan
@@ -74,10 +74,10 @@ class BenchRun:
         else:
             source = local_workers(self.workers)
         make_folder(self.out)
-        records = run_benchmark(plan, self.out, source, _tell, retry_crashed=self.retry_crashed)
+        records = run_benchmark(plan, self.out, source, progress, retry_crashed=self.retry_crashed)
         print(write_report((self.out,)))
         broken = sum(episode.end in (CRASHED, NO_SCENE) for episode in records.episodes.values())
-        return 1 if broken else 0
+        return NOTHING if broken else DONE
 
     def _plan(self) -> BenchmarkPlan:
         from thinkgrasp.benchmark.plan import PLAN_FILE, read_plan
@@ -136,7 +136,7 @@ class BenchReport:
         if not self.folders:
             raise InputError("bench report needs the folder of a benchmark")
         print(write_report(self.folders, self.reference))
-        return 0
+        return DONE
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class BenchCompare:
         from thinkgrasp.benchmark.comparison import compare
 
         print(compare(self.a, self.b))
-        return 0
+        return DONE
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,3 @@ def _check_simulator() -> None:
         import mujoco  # noqa: F401
     except ModuleNotFoundError as error:
         raise MissingDependency("mujoco-core", "sim", "the benchmark") from error
-
-
-def _tell(text: str) -> None:
-    print(one_line(text), file=sys.stderr, flush=True)

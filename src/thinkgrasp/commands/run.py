@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_module
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -11,9 +9,10 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional, UseAppendAction, arg
 
+from thinkgrasp.commands.stages import DEFAULT_STAGES, StageOptions, configure
+from thinkgrasp.commands.terminal import DONE, NOTHING, check_text, encodable, progress
 from thinkgrasp.errors import ConfigError
-from thinkgrasp.outputs import make_folder, one_line
-from thinkgrasp.stage_options import DEFAULT_STAGES, StageOptions, configure
+from thinkgrasp.outputs import make_folder
 
 
 @dataclass(frozen=True)
@@ -53,10 +52,9 @@ class RunCommand:
         from thinkgrasp.config import parse_assignment
         from thinkgrasp.lab.person import Absent, AtTheKeyboard
         from thinkgrasp.loop import END_WORDS
-        from thinkgrasp.pipeline import check_instruction
         from thinkgrasp.run import RunOptions, run_on_robot
 
-        instruction = check_instruction(self.instruction)
+        check_text(self.instruction)
         if self.steps < 1:
             raise ConfigError(f"--steps must be at least 1, got {self.steps}")
         if not 0 < self.speed <= 1:
@@ -68,7 +66,7 @@ class RunCommand:
         config = configure(self.stages)
         make_folder(self.out)
         options = RunOptions(
-            instruction=instruction,
+            instruction=self.instruction,
             robot=self.robot,
             camera=self.camera,
             cell=self.cell,
@@ -80,12 +78,12 @@ class RunCommand:
             camera_settings=dict(map(parse_assignment, self.camera_set)),
         )
         person = AtTheKeyboard() if self.confirm else Absent()
-        result = run_on_robot(options, self.stages.preset, config, person, self.out, _progress)
+        result = run_on_robot(options, self.stages.preset, config, person, self.out, progress)
         episode = result.episode
         report = (self.out / "report.html").resolve()
         planned = any(o is not None and o.reason == "dry_run" for o in episode.outcomes)
         if self.json:
-            print(json_module.dumps(json_module.loads(episode.to_json()), indent=2))
+            print(encodable(episode.to_json(indent=2)))
         else:
             words: dict[str, str] = {**END_WORDS}
             said = "goal delivered" if episode.success else "a motion was planned" if planned else "goal not delivered"
@@ -97,9 +95,5 @@ class RunCommand:
                 print(f"  robot     stands still: {result.halted}")
             print(f"  report    {report}")
         if result.halted is not None:
-            _progress(f"the robot stands still ({result.halted.replace('_', ' ')}); look at it before the next run")
-        return 0 if episode.success or planned else 1
-
-
-def _progress(text: str) -> None:
-    print(one_line(text), file=sys.stderr)
+            progress(f"the robot stands still ({result.halted.replace('_', ' ')}); look at it before the next run")
+        return DONE if episode.success or planned else NOTHING

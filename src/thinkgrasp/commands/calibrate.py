@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import UseAppendAction, arg
 
+from thinkgrasp.commands.terminal import DONE, NOTHING, progress
 from thinkgrasp.errors import ConfigError
-from thinkgrasp.outputs import check_writable, make_folder, one_line
+from thinkgrasp.outputs import check_writable, make_folder
 
 DEFAULT_DICTIONARIES = {
     "charuco": "DICT_4X4_50",
@@ -83,7 +83,7 @@ class CalibrateCommand:
                 f"  print at 100 %: {width * 1e3:.1f} x {height * 1e3:.1f} mm with its margin; measure a "
                 "marker afterwards"
             )
-            return 0
+            return DONE
         if self.cell is None:
             raise ConfigError(
                 "thinkgrasp calibrate needs --cell FILE (or --draw PNG); docs/real_robot.md says what is in it"
@@ -92,7 +92,7 @@ class CalibrateCommand:
         options = CalibrateOptions(
             self.cell, board, self.poses, self.camera, dict(map(parse_assignment, self.camera_set))
         )
-        result, written = run_calibration(options, AtTheKeyboard(), self.out, _progress)
+        result, written = run_calibration(options, AtTheKeyboard(), self.out, progress)
         place = ", ".join(f"{c:.4f}" for c in result.T_camera[:3, 3])
         frame = "base" if result.mount == "fixed" else "flange"
         print(f"camera at ({place}) m in the {frame} frame; {board.words()}")
@@ -101,8 +101,4 @@ class CalibrateCommand:
             f"{len(result.names)} poses)"
         )
         print(f"  camera file     {written if written is not None else 'NOT WRITTEN'}")
-        return 0 if written is not None else 1
-
-
-def _progress(text: str) -> None:
-    print(one_line(text), file=sys.stderr)
+        return DONE if written is not None else NOTHING
