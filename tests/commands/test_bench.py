@@ -14,6 +14,7 @@ from fakes.benchmark import fake_source, small_plan
 from thinkgrasp.benchmark.records import read_records
 from thinkgrasp.benchmark.runner import run_benchmark
 
+LAYOUT = "give me the pear\n0\nassets/simplified_objects/015.urdf 0.5 0.0 0.1 0 0 0\n"
 SMALL = ("--suite", "clutter", "--tasks", "clutter-09-pear", "--runs", "1", "--size", "224x224")
 
 
@@ -45,6 +46,18 @@ def test_a_benchmark_runs_goes_on_and_runs_again(tmp_path, cli: Callable):
     assert len(read_records(second).scenes) == 1
 
 
+def test_layouts_named_from_another_folder_are_the_same_benchmark(tmp_path, cli: Callable, monkeypatch):
+    monkeypatch.setattr("thinkgrasp.benchmark.runner.local_workers", lambda n: fake_source)
+    (tmp_path / "cases").mkdir()
+    (tmp_path / "cases" / "case00-pear.txt").write_text(LAYOUT)
+    command = ("bench", "run", "--suite", "paper-clutter", "--runs", "2", "--out", str(tmp_path / "out"), "--cases")
+    monkeypatch.chdir(tmp_path)
+    assert "2/2 offline case00-pear" in cli(*command, "cases").err
+    monkeypatch.chdir(tmp_path / "cases")
+    result = cli(*command, ".")
+    assert (result.code, result.err) == (0, "")
+
+
 def test_a_report_is_written_anew(finished, cli: Callable):
     result = cli("bench", "report", str(finished), "--reference", "oracle")
     assert result.code == 0
@@ -71,7 +84,10 @@ def test_a_report_is_written_anew(finished, cli: Callable):
         (("run", "--suite", "clutter", "--again", "DONE", "--out", "OUT"), "leave out --suite and --preset"),
         (("run", "--again", "OUT", "--out", "OUT"), "give the folder of a benchmark"),
         (("run", "--again", "DONE", "--out", "DONE"), "--again and --out are one folder"),
-        (("run", "--suite", "heavy", "--out", "DONE"), "the folder holds a benchmark with source"),
+        (
+            ("run", "--suite", "heavy", "--out", "DONE"),
+            "the folder holds a benchmark with suite clutter-v1, asked for is heavy-v1",
+        ),
         (("run", "--suite", "clutter"), "--out"),
         (("report",), "needs the folder of a benchmark"),
         (("report", "OUT"), "give the folder of a benchmark"),

@@ -123,7 +123,9 @@ class BenchmarkPlan:
         for what in ("source", "tasks", "first_seed", "camera"):
             mine, theirs = getattr(self, what), getattr(asked, what)
             if mine != theirs:
-                raise ConfigError(f"the folder holds a benchmark with {what} {mine}, asked for is {theirs}")
+                raise ConfigError(
+                    f"the folder holds a benchmark with {what.replace('source', 'suite')} {mine}, asked for is {theirs}"
+                )
         known = {method.name: method for method in self.methods}
         for method in asked.methods:
             if known.setdefault(method.name, method) != method:
@@ -138,8 +140,8 @@ class BenchmarkPlan:
         """
         model = _PlanModel(
             suite=self.source.name,
-            cases=None if self.source.cases is None else str(self.source.cases.resolve()),
-            objects=None if self.source.objects is None else str(self.source.objects.resolve()),
+            cases=None if self.source.cases is None else str(self.source.cases),
+            objects=None if self.source.objects is None else str(self.source.objects),
             tasks=list(self.tasks),
             first_seed=self.first_seed,
             runs=self.runs,

@@ -41,9 +41,9 @@ class SuiteSource:
 
     name: str
     cases: Path | None = None
-    """Folder of the published layouts."""
+    """Folder of the published layouts, absolute."""
     objects: Path | None = None
-    """Folder of the published objects, one folder each, named by their published ids; else stand-ins."""
+    """Folder of the published objects, one folder each, named by their published ids, absolute; else stand-ins."""
 
     def __post_init__(self) -> None:
         if self.name not in SUITES:
@@ -53,6 +53,10 @@ class SuiteSource:
         if not self.is_published and (self.cases or self.objects):
             given = "--cases" if self.cases else "--objects"
             raise ConfigError(f"suite {self.name!r} makes its own piles of catalogue objects; leave out {given}")
+
+    def __str__(self) -> str:
+        folders = {"layouts": self.cases, "objects": self.objects}
+        return ", ".join([self.name, *(f"{what} in {folder}" for what, folder in folders.items() if folder)])
 
     @property
     def is_published(self) -> bool:

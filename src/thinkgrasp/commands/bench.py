@@ -103,7 +103,8 @@ class BenchRun:
         from thinkgrasp.sim.options import CameraOptions, parse_size
         from thinkgrasp.sim.views import default_view
 
-        source = SuiteSource(ALIASES.get(suite, suite), self.cases, self.objects)
+        cases, objects = (folder and folder.expanduser().resolve() for folder in (self.cases, self.objects))
+        source = SuiteSource(ALIASES.get(suite, suite), cases, objects)
         names = [case.name for case in load_suite(source)]
         if strange := sorted(set(self.tasks) - set(names)):
             raise ConfigError(f"suite {source.name} has no task {strange[0]!r}; it has {', '.join(names)}")
