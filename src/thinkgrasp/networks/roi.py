@@ -98,7 +98,10 @@ def _blocks_alike(samples: Tensor, size: int) -> list[Tensor]:
 def _blocks_of_any(samples: Tensor, size: int) -> list[Tensor]:
     """Part them into few blocks, each box padded to the largest one: on a GPU, what is launched costs most."""
     rows = (samples > 0).all(dim=1).nonzero()[:, 0]
-    return _split(rows, *samples[rows].amax(dim=0).tolist(), size, room=16) if len(rows) else []
+    if len(rows) == 0:
+        return []
+    gx, gy = samples[rows].amax(dim=0).tolist()
+    return _split(rows, gx, gy, size, room=16)
 
 
 def _split(rows: Tensor, gx: int, gy: int, size: int, room: int = 1) -> list[Tensor]:
