@@ -184,6 +184,11 @@ BAD: dict[str, tuple[int | tuple[int, ...], Ask]] = {
         400,
         posted(content=b'{"x": ' + b"9" * 9000 + b"}", headers={"Content-Type": "application/json"}),
     ),
+    "millions of values in JSON": (
+        400,
+        posted(content=b'{"color": [' + b"1," * 1_400_000 + b"1]}", headers={"Content-Type": "application/json"}),
+    ),
+    "thousands of keys in a part": (400, with_part(camera=json.dumps({f"{i}": 0 for i in range(9000)}))),
     "a list": (400, posted(json=[1, 2])),
     "a text": (400, posted(json="grasp")),
     "another type": (415, posted(content=b"hello", headers={"Content-Type": "text/plain"})),
@@ -300,6 +305,15 @@ BAD: dict[str, tuple[int | tuple[int, ...], Ask]] = {
     "episode without an instruction": (422, posted("/v1/episodes", json={})),
     "episode without an attempt": (422, posted("/v1/episodes", json={"instruction": "a", "step_limit": 0})),
     "episode as a form": (415, posted("/v1/episodes", data={"instruction": "a"})),
+    "episode of a megabyte": (413, posted("/v1/episodes", json={"instruction": "x" * 1_000_000})),
+    "episode of a megabyte, in pieces": (
+        413,
+        posted(
+            "/v1/episodes",
+            content=(bytes(50_000) for _ in range(20)),
+            headers={"Content-Type": "application/json"},
+        ),
+    ),
     "no such episode": (404, posted(UNKNOWN, "GET")),
     "end of no such episode": (404, posted(UNKNOWN, "DELETE")),
     "frame for no such episode": (
@@ -383,3 +397,8 @@ def test_a_bad_request_is_an_error_in_json(name: str, server: Running, folder: P
 
 def test_the_table_is_long_enough():
     assert len(BAD) >= 60
+
+
+def test_an_instruction_may_be_all_commas(server: Running):
+    answer = server.http.post("/v1/grasp", json=json_of(FRAME, "," * 2000))
+    assert answer.status_code == 200, answer.text

@@ -22,6 +22,10 @@ MAX_PARTS = 16
 MAX_TEXT_PART_BYTES = 200_000
 MAX_DEPTH = 40
 """Nesting of JSON."""
+MAX_VALUES = 5000
+"""Values in a JSON text, which cost a hundred times their bytes; base64 holds none of what separates them."""
+MAX_WORDS_BYTES = 100_000
+"""A body that holds no frame."""
 LINGER_BYTES = 4_000_000
 LINGER_S = 1.0
 """So much of a body that is refused is still read."""
@@ -29,8 +33,8 @@ LINGER_S = 1.0
 _M = TypeVar("_M", bound=BaseModel)
 
 
-async def read_body(request: Request, limits: Limits) -> bytes:
-    """Read a request's whole body.
+async def read_body(request: Request, limits: Limits, *, max_bytes: int | None = None) -> bytes:
+    """Read a request's whole body of at most `max_bytes`; None = what the limits say.
 
     Raises:
         RequestProblem: It is too large (413), comes too slowly (408) or compressed (415).
@@ -39,10 +43,11 @@ async def read_body(request: Request, limits: Limits) -> bytes:
     encoding = request.headers.get("content-encoding", "identity").strip().lower()
     if encoding != "identity":
         raise RequestProblem(415, "compressed_body", "the body must not be compressed (Content-Encoding)")
+    allowed = limits.body_bytes if max_bytes is None else min(max_bytes, limits.body_bytes)
     declared = request.headers.get("content-length", "")
-    if declared.isdecimal() and int(declared) > limits.body_bytes:
+    if declared.isdecimal() and int(declared) > allowed:
         await linger(request)
-        raise _too_large(limits)
+        raise _too_large(allowed)
     body = bytearray()
     try:
         async with asyncio.timeout(limits.body_timeout_s):
@@ -51,9 +56,9 @@ async def read_body(request: Request, limits: Limits) -> bytes:
                 if message["type"] == "http.disconnect":
                     raise ClientLeft
                 body += message.get("body", b"")
-                if len(body) > limits.body_bytes:
+                if len(body) > allowed:
                     await linger(request)
-                    raise _too_large(limits)
+                    raise _too_large(allowed)
                 if not message.get("more_body", False):
                     return bytes(body)
     except TimeoutError:
@@ -80,11 +85,11 @@ async def read_model(request: Request, model: type[_M], limits: Limits) -> _M:
 
 
 async def read_json(request: Request, model: type[_M], limits: Limits) -> _M:
-    """Read a JSON body into a model; raises as `read_model`."""
+    """Read a JSON body that holds no frame into a model; raises as `read_model`."""
     if _kind(request) != "application/json":
         await linger(request)
         raise _unsupported("application/json")
-    return model.model_validate(read_json_object(await read_body(request, limits)))
+    return model.model_validate(read_json_object(await read_body(request, limits, max_bytes=MAX_WORDS_BYTES)))
 
 
 def read_json_object(text: bytes | str, what: str = "the body") -> dict[str, Any]:
@@ -161,6 +166,9 @@ async def _raw_parts(request: Request, body: bytes) -> dict[str, str | bytes]:
 
 
 def _read_json(text: bytes | str, what: str) -> object:
+    content = text if isinstance(text, bytes) else text.encode("utf-8", "surrogateescape")
+    if sum(map(content.count, (b",", b"[", b"{"))) > MAX_VALUES:
+        raise RequestProblem(400, "bad_json", f"{what} holds more than {MAX_VALUES} values")
     try:
         value: object = json.loads(text, parse_constant=_refuse_constant)
         if _is_deep(value, MAX_DEPTH):
@@ -205,6 +213,6 @@ def _unsupported(allowed: str) -> RequestProblem:
     return RequestProblem(415, "unsupported_media_type", f"the body must be {allowed}")
 
 
-def _too_large(limits: Limits) -> RequestProblem:
-    said = f"the body is larger than the {limits.body_mb:g} MB allowed"
+def _too_large(allowed: int) -> RequestProblem:
+    said = f"the body is larger than the {allowed / 1e6:g} MB allowed"
     return RequestProblem(413, "too_large", said, {"Connection": "close"})
