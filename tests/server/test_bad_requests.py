@@ -206,6 +206,17 @@ BAD: dict[str, tuple[int | tuple[int, ...], Ask]] = {
             content=b"--b\r\nContent-Disposition: form-data\r\n\r\nx\r\n--b--\r\n", headers={"Content-Type": MULTIPART}
         ),
     ),
+    "a part in another alphabet": (
+        422,
+        posted(
+            content=b'--b\r\nContent-Disposition: form-data; name="color"\r\n\r\n+2AA-\r\n--b--\r\n',
+            headers={"Content-Type": f"{MULTIPART}; charset=utf-7"},
+        ),
+    ),
+    "multipart with a boundary that is none": (
+        400,
+        posted(content=b"x", headers={"Content-Type": 'multipart/form-data; boundary="\xff"'.encode("latin-1")}),
+    ),
     "a part twice": (400, posted(files=[*parts_of(FRAME).items(), ("instruction", ("i", b"again", "text/plain"))])),
     "a hundred parts": (400, posted(files={f"part{i}": (f"{i}", b"x", "text/plain") for i in range(100)})),
     "an unknown part": (422, with_part(robot="ur5")),
@@ -222,6 +233,13 @@ BAD: dict[str, tuple[int | tuple[int, ...], Ask]] = {
     "empty instruction": (422, with_part(instruction="  ")),
     "long instruction": (422, with_part(instruction="x" * 3000)),
     "instruction that is no text": (400, with_part(instruction=b"\xff\xfe")),
+    "instruction that is no text, as a field": (
+        400,
+        posted(
+            content=b'--b\r\nContent-Disposition: form-data; name="instruction"\r\n\r\n\xff\xfe\r\n--b--\r\n',
+            headers={"Content-Type": MULTIPART},
+        ),
+    ),
     "half a character": (
         (400, 422),
         posted(
@@ -341,6 +359,18 @@ BAD: dict[str, tuple[int | tuple[int, ...], Ask]] = {
     "paper: no such file": (400, posted("/grasp_pose", json=PATHS | {"text_path": "nothing.txt"})),
     "paper: no camera of that size": (400, posted("/grasp_pose", json=PATHS)),
     "paper: a part missing": (400, posted("/grasp_pose", files={"image": ("i", b"x", "image/png")})),
+    "paper: text in another alphabet": (
+        400,
+        posted(
+            "/grasp_pose",
+            content=b"".join(
+                b'--b\r\nContent-Disposition: form-data; name="%s"\r\n\r\n+2AA-\r\n' % name
+                for name in (b"image", b"depth", b"text")
+            )
+            + b"--b--\r\n",
+            headers={"Content-Type": f"{MULTIPART}; charset=utf-7"},
+        ),
+    ),
     "paper: no image": (
         400,
         posted("/grasp_pose", files={n: (n, b"x", "image/png") for n in ("image", "depth", "text")}),

@@ -53,6 +53,22 @@ def test_multipart_and_json_give_the_local_decision(server: Running, local: Deci
         assert answer.headers["x-request-id"]
 
 
+def test_files_may_come_as_fields_without_a_name(server: Running):
+    """As some libraries send what is no file on their disk."""
+    parts = parts_of(sample_frame()).items()
+    body = b"".join(
+        b'--b\r\nContent-Disposition: form-data; name="%s"\r\n\r\n%s\r\n' % (name.encode(), content)
+        for name, (_, content, _) in parts
+        if name != "depth"
+    )
+    mm = np.rint(sample_frame().depth * 1000).astype(np.uint16)
+    body += b'--b\r\nContent-Disposition: form-data; name="depth"\r\n\r\n%s\r\n--b--\r\n' % png(mm)
+    headers = {"Content-Type": "multipart/form-data; boundary=b"}
+    answer = server.http.post("/v1/grasp", content=body, headers=headers)
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["status"] == "grasp"
+
+
 @pytest.mark.parametrize("depth", ["png", "tiff", "npy16", "npy32"])
 def test_depth_comes_in_every_form(server: Running, depth: str):
     frame = sample_frame()

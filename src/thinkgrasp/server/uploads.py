@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncGenerator, Mapping
+import re
+from collections.abc import AsyncGenerator
 from typing import Any, TypeVar
 
 from pydantic import BaseModel
@@ -30,6 +31,7 @@ LINGER_BYTES = 4_000_000
 LINGER_S = 1.0
 """So much of a body that is refused is still read."""
 
+_BOUNDARY = re.compile(rb"[0-9A-Za-z'()+_,./:=? -]{1,70}")
 _M = TypeVar("_M", bound=BaseModel)
 
 
@@ -92,7 +94,7 @@ async def read_json(request: Request, model: type[_M], limits: Limits) -> _M:
     return model.model_validate(read_json_object(await read_body(request, limits, max_bytes=MAX_WORDS_BYTES)))
 
 
-def read_json_object(text: bytes | str, what: str = "the body") -> dict[str, Any]:
+def read_json_object(text: bytes, what: str = "the body") -> dict[str, Any]:
     """Parse a JSON object; numbers that JSON does not know are refused.
 
     Raises:
@@ -104,8 +106,8 @@ def read_json_object(text: bytes | str, what: str = "the body") -> dict[str, Any
     return value
 
 
-async def read_parts(request: Request, limits: Limits) -> Mapping[str, str | bytes]:
-    """Return the parts of a multipart body by name: files as bytes, fields as text; raises as `read_model`."""
+async def read_parts(request: Request, limits: Limits) -> dict[str, bytes]:
+    """Return the parts of a multipart body by name; raises as `read_model`."""
     return await _raw_parts(request, await read_body(request, limits))
 
 
@@ -114,7 +116,7 @@ async def _parts(request: Request, body: bytes) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name, part in (await _raw_parts(request, body)).items():
         if name in FILES:
-            values[name] = part if isinstance(part, bytes) else part.encode("utf-8", "surrogateescape")
+            values[name] = part
         elif name in JSON_PARTS:
             values[name] = _read_json(part, f"the part {name!r}")
         else:
@@ -122,14 +124,14 @@ async def _parts(request: Request, body: bytes) -> dict[str, Any]:
     return values
 
 
-def as_text(part: str | bytes, name: str) -> str:
+def as_text(part: bytes, name: str) -> str:
     """Return a part's text.
 
     Raises:
         RequestProblem: 400; it is no UTF-8.
     """
     try:
-        return part.decode("utf-8") if isinstance(part, bytes) else part
+        return part.decode("utf-8")
     except UnicodeDecodeError:
         raise RequestProblem(400, "bad_text", f"the part {name!r} is no UTF-8 text") from None
 
@@ -140,24 +142,26 @@ class _InMemory(MultiPartParser):
     spool_max_size = 2**40
 
 
-async def _raw_parts(request: Request, body: bytes) -> dict[str, str | bytes]:
+async def _raw_parts(request: Request, body: bytes) -> dict[str, bytes]:
     async def stream() -> AsyncGenerator[bytes, None]:
         yield body
 
-    headers = Headers({"Content-Type": request.headers.get("content-type", "")})
+    boundary = parse_options_header(request.headers.get("content-type", ""))[1].get(b"boundary", b"")
+    if not _BOUNDARY.fullmatch(boundary):
+        raise RequestProblem(400, "bad_multipart", "the content type names no boundary that multipart may have")
+    # Latin-1 takes every byte, so that what the parser makes a text of is had back as it came.
+    headers = Headers({"Content-Type": f'multipart/form-data; boundary="{boundary.decode("ascii")}"; charset=latin-1'})
     parser = _InMemory(headers, stream(), max_files=MAX_PARTS, max_fields=MAX_PARTS, max_part_size=MAX_TEXT_PART_BYTES)
     try:
         form = await parser.parse()
     except MultiPartException as error:
         raise RequestProblem(400, "bad_multipart", f"the multipart body cannot be read: {error.message}") from None
-    except (UnicodeError, ValueError, LookupError):
-        raise RequestProblem(400, "bad_multipart", "the multipart body cannot be read") from None
-    parts: dict[str, str | bytes] = {}
+    parts: dict[str, bytes] = {}
     try:
         for name, value in form.multi_items():
             if name in parts:
                 raise RequestProblem(400, "bad_multipart", "a part occurs twice")
-            parts[name] = await value.read() if isinstance(value, UploadFile) else value
+            parts[name] = await value.read() if isinstance(value, UploadFile) else value.encode("latin-1")
     finally:
         await form.close()
     if not parts:
@@ -165,9 +169,8 @@ async def _raw_parts(request: Request, body: bytes) -> dict[str, str | bytes]:
     return parts
 
 
-def _read_json(text: bytes | str, what: str) -> object:
-    content = text if isinstance(text, bytes) else text.encode("utf-8", "surrogateescape")
-    if sum(map(content.count, (b",", b"[", b"{"))) > MAX_VALUES:
+def _read_json(text: bytes, what: str) -> object:
+    if sum(map(text.count, (b",", b"[", b"{"))) > MAX_VALUES:
         raise RequestProblem(400, "bad_json", f"{what} holds more than {MAX_VALUES} values")
     try:
         value: object = json.loads(text, parse_constant=_refuse_constant)
