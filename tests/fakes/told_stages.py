@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from dataclasses import replace
@@ -30,6 +31,10 @@ class ToldPlanner(FakePlanner):
             time.sleep(0.3)
         if "sleep" in instruction:
             time.sleep(self.sleep_s)
+        if "loud" in instruction:
+            os.write(2, b"/secret/place/of/libtiff: error\n")
+            print("/secret/place/of/weights")
+            logging.getLogger("library").warning("/secret/place/weights.pth is old")
         if "crash" in instruction:
             os._exit(11)
         if "bug" in instruction:

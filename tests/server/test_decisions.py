@@ -139,6 +139,14 @@ def test_explain_brings_the_pictures(server: Running, local: DecisionModel):
     assert without_times(explained.decision) == without_times(local)
 
 
+@pytest.mark.parametrize("path", ["/healthz", "/readyz", "/", "/openapi.json"])
+def test_probes_may_ask_for_the_headers_alone(server: Running, path: str):
+    whole, head = server.http.get(path), server.http.head(path)
+    assert (head.status_code, head.content) == (200, b"")
+    assert head.headers["content-length"] == whole.headers["content-length"]
+    assert server.http.head("/v1/grasp").status_code == 405
+
+
 def test_health_readiness_metrics_and_interface(server: Running):
     get = server.http.get
     assert get("/healthz").json()["status"] == "ok"
