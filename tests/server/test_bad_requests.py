@@ -162,6 +162,8 @@ BAD: dict[str, tuple[int | tuple[int, ...], Ask]] = {
     "upward address": (404, raw(b"GET /page/../../../../etc/passwd HTTP/1.1\r\nHost: localhost\r\n\r\n")),
     "upward address, encoded": (404, posted("/page/..%2f..%2f__init__.py", "GET")),
     "upward address, twice encoded": (404, posted("/page/%252e%252e%252fapp.py", "GET")),
+    "a slash too many": (404, posted("/v1/grasp/", files=parts_of(sample_frame()))),
+    "a slash too many on a page": (404, posted("/docs/", "GET")),
     "NUL in the address": (404, posted("/page/%00", "GET")),
     "wrong method": (405, posted("/v1/grasp", "GET")),
     "wrong method on a page": (405, posted("/healthz", "POST", json={})),

@@ -105,6 +105,7 @@ def make_app(
         description="An RGB-D frame and a sentence in, a 6-DoF two-finger grasp out.",
         docs_url=None,
         redoc_url=None,
+        redirect_slashes=False,
         lifespan=lifespan,
     )
     gate = Gate(app, access=Access(options.token), metrics=metrics, debug=options.debug)
@@ -131,16 +132,13 @@ def make_app(
     @contextlib.asynccontextmanager
     async def place(request: Request) -> AsyncGenerator[None, None]:
         """A place among those that may have a worker; a body that gets none is read away."""
-        try:
-            admitted = pool.admit()
-            admitted.__enter__()
-        except Exception:
-            await linger(request)
-            raise
-        try:
+        with contextlib.ExitStack() as held:
+            try:
+                held.enter_context(pool.admit())
+            except Exception:
+                await linger(request)
+                raise
             yield
-        finally:
-            admitted.__exit__(None, None, None)
 
     @route("POST", "/v1/grasp", answer=DecisionModel, body=openapi.frame_body(GraspBody))
     async def grasp(request: Request) -> Response:
