@@ -20,7 +20,7 @@ from thinkgrasp.server.access import Access
 from thinkgrasp.server.decoding import FrameUpload
 from thinkgrasp.server.episodes import Episodes
 from thinkgrasp.server.gate import Gate
-from thinkgrasp.server.jobs import Answer, Decide, Decided, Job, Settings, Verify
+from thinkgrasp.server.jobs import Answer, Decide, Decided, Job, Settings, Verified, Verify
 from thinkgrasp.server.limits import Limits
 from thinkgrasp.server.metrics import CONTENT_TYPE, Metrics
 from thinkgrasp.server.paper_api import (
@@ -168,8 +168,9 @@ def make_app(
 
     @route("GET", "/v1/episodes/{episode_id}", answer=EpisodeAnswer)
     async def look_up(request: Request) -> Response:
-        """Say where an episode stands."""
-        return _json(episodes.get(request.path_params["episode_id"]).answer(limits))
+        """Say where an episode stands, with the decision whose outcome is awaited."""
+        episode = episodes.get(request.path_params["episode_id"])
+        return _json(episode.answer(limits, decision=episode.awaited))
 
     @route("DELETE", "/v1/episodes/{episode_id}", answer=EpisodeAnswer)
     async def stop(request: Request) -> Response:
@@ -181,25 +182,24 @@ def make_app(
         """Decide what to do now, on a frame of what is seen now."""
         async with place(request):
             body = await read_model(request, ObserveBody, limits)
-            episode = episodes.get(request.path_params["episode_id"])
-            with episode.turn("observe"):
+            with episodes.turn(request.path_params["episode_id"], "observe") as episode:
                 settings = _settings(body.options)
                 job = episode.observe(_files(body), settings, more_views=body.more_views, budget_usd=budget_usd)
                 decided = await desk.decide(request, job)
                 episode.observed(decided, more_views=body.more_views)
         return _json(episode.answer(limits, decision=decided.decision, undone=decided.undone))
 
-    @route("POST", "/v1/episodes/{episode_id}/outcome", answer=EpisodeAnswer, body=openapi.outcome_body(OutcomeBody))
+    @route("POST", "/v1/episodes/{episode_id}/outcome", answer=EpisodeAnswer, body=openapi.frame_body(OutcomeBody))
     async def outcome(request: Request) -> Response:
         """Say what became of the grasp that was decided last."""
         async with place(request):
             body = await read_model(request, OutcomeBody, limits)
-            episode = episodes.get(request.path_params["episode_id"])
-            with episode.turn("act"):
-                verified: bool | None = None
+            with episodes.turn(request.path_params["episode_id"], "act") as episode:
+                seen: bool | None = None
                 removed = episode.awaits_removal
                 if body.success and body.color is not None and removed is not None:
-                    verified = not await desk.verify(request, Verify(_files(body), removed))
+                    seen = await desk.verify(request, Verify(_files(body), removed))
+                verified = None if seen is None else not seen
                 said = Outcome(body.success, body.reason or ("held" if body.success else "missed"))
                 episode.acted(said, delivered=body.delivered, is_verified=verified)
         return _json(episode.answer(limits, undone=verified is False, verified=verified))
@@ -273,10 +273,12 @@ class _Counter:
         notes |= {"decision": answer.decision.status, "degraded": len(answer.decision.degraded)}
         return answer
 
-    async def verify(self, request: Request, job: Verify) -> bool:
-        """Return whether the target is still in its place."""
+    async def verify(self, request: Request, job: Verify) -> bool | None:
+        """Return whether the target is still in its place; None where that is not known."""
         answer = await self._carry_out(request, job)
-        return not isinstance(answer, Decided) and answer.undone
+        if not isinstance(answer, Verified):
+            raise TypeError("a Verify is answered by a Verified")
+        return answer.still_there
 
     async def _carry_out(self, request: Request, job: Job) -> Answer:
         return await self._pool.carry_out(job, _left(request))
