@@ -28,7 +28,7 @@ import numpy as np
 import tyro
 
 from thinkgrasp.server.background import server_process
-from thinkgrasp.server.client import frame_parts
+from thinkgrasp.server.calls import frame_parts
 from thinkgrasp.sim.tabletop import demo_camera, demo_scene, render
 
 INSTRUCTIONS = ("the red box", "I need a fruit", "something to drink from", "the green bowl", "a bicycle", "the mug")
