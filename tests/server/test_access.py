@@ -174,6 +174,7 @@ class TestCommand:
             timer.cancel()
             process.kill()
         assert process.returncode in (0, 130)
+        assert '"event": "stopped"' in err
         assert out == ""
         assert TOKEN not in err + line
 

@@ -22,6 +22,7 @@ from thinkgrasp.server.episodes import Episodes
 from thinkgrasp.server.gate import Gate
 from thinkgrasp.server.jobs import Answer, Decide, Decided, Job, Settings, Verified, Verify
 from thinkgrasp.server.limits import Limits
+from thinkgrasp.server.logs import log
 from thinkgrasp.server.metrics import CONTENT_TYPE, Metrics
 from thinkgrasp.server.paper_api import (
     PUBLISHED_CAMERA_WARNING,
@@ -98,6 +99,7 @@ def make_app(
         pool.start()
         yield
         await pool.close()
+        log("stopped")
 
     app = FastAPI(
         title="ThinkGrasp",

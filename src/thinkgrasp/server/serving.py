@@ -60,7 +60,6 @@ def serve(
             warnings.simplefilter("ignore")  # they name files, and are none of the log's JSON
         logs.log("started", host=host, port=bound, workers=options.workers, token=options.token is not None)
         server.run(sockets=[listener])
-        logs.log("stopped")
     if problems:
         raise ConfigError(problems[0])
 
