@@ -23,6 +23,7 @@ from thinkgrasp.errors import ConfigError
 from thinkgrasp.server import logs
 from thinkgrasp.server.access import Access, is_loopback, read_token
 from thinkgrasp.server.app import ServerOptions
+from thinkgrasp.server.client import Client
 from thinkgrasp.server.decoding import without_paths
 from thinkgrasp.server.limits import Limits
 from thinkgrasp.server.problems import RequestProblem
@@ -168,6 +169,8 @@ class TestCommand:
             found = re.search(r"serves preset offline at (http://127\.0\.0\.1:\d+)", line)
             assert found is not None, line
             process.stderr.readline()
+            with Client(found[1]) as client:
+                client.wait_until_ready()
             process.send_signal(signal.SIGINT)
             out, err = process.communicate(timeout=60)
         finally:
