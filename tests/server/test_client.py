@@ -144,10 +144,11 @@ def good(server: Running) -> httpx.Response:
 
 
 def test_a_busy_server_is_asked_again_when_it_says(good, waits):
-    transport, seen = answering(error(429, **{"Retry-After": "3"}), error(503, **{"Retry-After": "soon"}), good)
+    says = ("3", "soon", "nan", "inf", "-5")
+    transport, seen = answering(*(error(429, **{"Retry-After": when}) for when in says), good)
     with Client("http://robot/api/", token="", transport=transport) as client:
         assert client.grasp(FRAME, "red").status == "grasp"
-    assert waits == [0, 3, 1]
+    assert waits == [0, 3, 1, 1, 60, 0.1]
     assert {str(r.url) for r in seen} == {"http://robot/api/v1/grasp"}
     assert "authorization" not in seen[0].headers
 

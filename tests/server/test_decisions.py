@@ -17,6 +17,7 @@ from thinkgrasp.config import make_pipeline
 from thinkgrasp.schema import DecisionModel, decision_to_schema
 from thinkgrasp.server.app import ServerOptions
 from thinkgrasp.server.client import Client
+from thinkgrasp.server.schema import ExplainedDecision
 from thinkgrasp.testing import sample_frame
 from thinkgrasp.types import CameraIntrinsics, Frame
 
@@ -200,6 +201,14 @@ class TestCommand:
         result = cli(*self.args(files, "the red box", "--server", server.url, "--preset", "vlm"))
         assert result.code == 2
         assert "--preset is the server's to choose" in result.err
+
+    @pytest.mark.parametrize("picture", ["", "AAAA", "=", "iVBORw0KGgo="])
+    def test_a_picture_that_is_none_is_one_line(self, server, local, cli, files, tmp_path, monkeypatch, picture):
+        explained = ExplainedDecision(decision=local, overlay_png=picture, view_html="")
+        monkeypatch.setattr(Client, "explain", lambda *_, **__: explained)
+        result = cli(*self.args(files, "the red box", "--server", server.url, "--overlay", str(tmp_path / "o.png")))
+        assert result.code == 2
+        assert result.err.splitlines() == [f"error: {server.url} sent an annotated picture that cannot be read"]
 
     def test_a_server_that_is_not_there_is_one_line(self, cli, files):
         result = cli(*self.args(files, "the red box", "--server", "http://127.0.0.1:9"))

@@ -11,6 +11,7 @@ send and wait.
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import time
 from collections.abc import Generator
@@ -354,9 +355,10 @@ def _is_ready(given: httpx.Response | httpx.HTTPError) -> bool:
 
 def _retry_after_s(response: httpx.Response) -> float:
     try:
-        return min(max(float(response.headers.get("Retry-After", "1")), 0.1), MAX_WAIT_S)
+        asked = float(response.headers.get("Retry-After", "1"))
     except ValueError:
         return 1.0
+    return 1.0 if math.isnan(asked) else min(max(asked, 0.1), MAX_WAIT_S)
 
 
 def _refusal(url: str, response: httpx.Response) -> Exception:

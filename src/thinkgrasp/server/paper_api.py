@@ -6,6 +6,7 @@ References:
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import stat
@@ -73,7 +74,9 @@ async def read_paper_request(request: Request, options: PaperOptions, limits: Li
             raise _bad(f"the body must hold the texts {', '.join(PATH_KEYS)} and optionally the object camera")
         if options.root is None:
             raise _bad("this server reads no files by path; send the files, or start it with --paper-root DIR")
-        image, depth, text = (read_inside(options.root, data[key], key, limits.body_bytes) for key in PATH_KEYS)
+        image, depth, text = [
+            await asyncio.to_thread(read_inside, options.root, data[key], key, limits.body_bytes) for key in PATH_KEYS
+        ]
     else:
         await linger(request)
         raise RequestProblem(415, "unsupported_media_type", "send multipart/form-data or application/json")

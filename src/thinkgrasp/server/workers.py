@@ -207,12 +207,13 @@ class ProcessWorker:
         """
         self.close()
         context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._process = process = context.Process(target=_run, args=(theirs, self._recipe), daemon=True)
+        pipe, theirs = context.Pipe()
+        process = context.Process(target=_run, args=(theirs, self._recipe), daemon=True)
         process.start()
         theirs.close()
+        self._pipe, self._process = pipe, process
         try:
-            said = self._pipe.recv()
+            said = pipe.recv()
         except (EOFError, OSError):
             raise ConfigError("a worker's process ended while it was loading the models") from None
         if isinstance(said, _Unloadable):
