@@ -20,6 +20,11 @@ def told_pipeline(config: PipelineConfig) -> Pipeline:
     return fake_pipeline(planner=ToldPlanner(**orders))
 
 
+def broken_pipeline(config: PipelineConfig) -> Pipeline:
+    """Fails as a plug-in may while it is made."""
+    raise RuntimeError("CUDA is out of memory at /secret/place")
+
+
 class ToldPlanner(FakePlanner):
     def __init__(self, sleep_s: float = 30.0, usd: float = 0.0) -> None:
         super().__init__()

@@ -7,13 +7,16 @@ import threading
 from collections.abc import Callable
 
 import pytest
+from fakes.told_stages import broken_pipeline
 
+from thinkgrasp.config import load_config
+from thinkgrasp.errors import ConfigError
 from thinkgrasp.server import pool as pool_module
 from thinkgrasp.server.decoding import FrameUpload
 from thinkgrasp.server.jobs import Answer, Job, Sighting, Verified, Verify
 from thinkgrasp.server.limits import Limits
 from thinkgrasp.server.pool import Busy, NotReady, Pool
-from thinkgrasp.server.workers import ProcessWorker, Watch
+from thinkgrasp.server.workers import ProcessWorker, Recipe, Watch
 
 NOTHING = Sighting.__new__(Sighting)
 JOB = Verify(FrameUpload(b"", b"", b""), NOTHING)
@@ -133,3 +136,10 @@ def test_a_worker_may_be_closed_while_it_is_looked_at(ask: Callable[[ProcessWork
     worker = ClosedMeanwhile(None, LIMITS)  # type: ignore[arg-type]
     worker._usable, worker._process = True, Process()
     ask(worker)
+
+
+def test_why_the_models_cannot_be_loaded_is_said():
+    worker = ProcessWorker(Recipe(load_config("offline"), LIMITS.pixels, make=broken_pipeline), LIMITS)
+    with pytest.raises(ConfigError, match=r"^RuntimeError at told_stages\.py:\d+$"):
+        worker.start()
+    worker.close()

@@ -111,7 +111,7 @@ def make_app(
         lifespan=lifespan,
     )
     gate = Gate(app, access=Access(options.token), metrics=metrics, debug=options.debug)
-    desk = _Counter(pool, metrics)
+    counted = _CountedPool(pool, metrics)
     budget_usd = recipe.budget_usd
 
     def route(
@@ -148,7 +148,7 @@ def make_app(
         async with place(request):
             body = await read_model(request, GraspBody, limits)
             job = Decide(_files(body), body.instruction, _settings(body.options), budget_usd=budget_usd)
-            decided = await desk.decide(request, job)
+            decided = await counted.decide(request, job)
         return _json(decided.decision)
 
     @route("POST", "/v1/explain", answer=ExplainedDecision, body=openapi.frame_body(GraspBody))
@@ -158,7 +158,7 @@ def make_app(
             body = await read_model(request, GraspBody, limits)
             settings = _settings(body.options)
             job = Decide(_files(body), body.instruction, settings, budget_usd=budget_usd, pictures=True)
-            decided = await desk.decide(request, job)
+            decided = await counted.decide(request, job)
         overlay, view = decided.overlay_png or "", decided.view_html or ""
         return _json(ExplainedDecision(decision=decided.decision, overlay_png=overlay, view_html=view))
 
@@ -187,7 +187,7 @@ def make_app(
             with episodes.turn(request.path_params["episode_id"], "observe") as episode:
                 settings = _settings(body.options)
                 job = episode.observe(_files(body), settings, more_views=body.more_views, budget_usd=budget_usd)
-                decided = await desk.decide(request, job)
+                decided = await counted.decide(request, job)
                 episode.observed(decided, more_views=body.more_views)
         return _json(episode.answer(limits, decision=decided.decision, undone=decided.undone))
 
@@ -200,7 +200,7 @@ def make_app(
                 seen: bool | None = None
                 removed = episode.awaits_removal
                 if body.success and body.color is not None and removed is not None:
-                    seen = await desk.verify(request, Verify(_files(body), removed))
+                    seen = await counted.verify(request, Verify(_files(body), removed))
                 verified = None if seen is None else not seen
                 said = Outcome(body.success, body.reason or ("held" if body.success else "missed"))
                 episode.acted(said, delivered=body.delivered, is_verified=verified)
@@ -212,7 +212,7 @@ def make_app(
         async with place(request):
             asked = await read_paper_request(request, options.paper, limits)
             job = Decide(asked.frame, asked.instruction, budget_usd=budget_usd, pose=True)
-            decided = await desk.decide(request, job)
+            decided = await counted.decide(request, job)
         headers = {"Warning": PUBLISHED_CAMERA_WARNING} if asked.is_camera_assumed else {}
         if decided.pose is None:
             said = f"{decided.decision.status.replace('_', ' ')}: {decided.decision.plan.rationale}"
@@ -259,7 +259,7 @@ def make_app(
     return gate
 
 
-class _Counter:
+class _CountedPool:
     """The pool, with what it decides counted and noted in the log."""
 
     def __init__(self, pool: Pool, metrics: Metrics) -> None:

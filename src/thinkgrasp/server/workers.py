@@ -310,8 +310,10 @@ def _serve(pipe: Connection, recipe: Recipe) -> None:
     try:
         try:
             desk = recipe.desk(announce)
-        except ThinkGraspError as error:
-            pipe.send(_Unloadable(str(error)))
+        except Exception as error:  # a plug-in may fail in any way while it is made
+            if recipe.debug:
+                traceback.print_exc(file=sys.stderr)
+            pipe.send(_Unloadable(str(error) if isinstance(error, ThinkGraspError) else where_raised(error)))
             return
         pipe.send(_Ready())
         while True:
