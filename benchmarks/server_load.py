@@ -28,7 +28,7 @@ import numpy as np
 import tyro
 
 from thinkgrasp.server.background import server_process
-from thinkgrasp.server.client import frame_parts
+from thinkgrasp.server.calls import frame_parts
 from thinkgrasp.sim.tabletop import demo_camera, demo_scene, render
 
 INSTRUCTIONS = ("the red box", "I need a fruit", "something to drink from", "the green bowl", "a bicycle", "the mug")
@@ -84,7 +84,9 @@ def ask(url: str, bodies: list[dict[str, tuple[str, bytes, str]]], first: int, d
 def watch_memory(url: str, start: float, deadline: float, every_s: float, tally: Tally) -> None:
     """Read the server's memory until the deadline."""
     while time.perf_counter() < deadline:
-        text = httpx.get(f"{url}/metrics", timeout=30).text
+        answer = httpx.get(f"{url}/metrics", timeout=30)
+        answer.raise_for_status()
+        text = answer.text
         own = sum(float(v) for v in re.findall(r"^thinkgrasp_resident_bytes (\S+)", text, re.M))
         workers = sum(float(v) for v in re.findall(r"^thinkgrasp_worker_resident_bytes\{\S+ (\S+)", text, re.M))
         tally.memory.append((time.perf_counter() - start, own / 1e6, workers / 1e6))
@@ -92,8 +94,13 @@ def watch_memory(url: str, start: float, deadline: float, every_s: float, tally:
 
 
 def growth(memory: list[tuple[float, float, float]]) -> float:
-    """Return by which share memory at the end exceeds memory once it had settled; 0 where it does not."""
+    """Return by which share memory at the end exceeds memory once it had settled; 0 where it does not.
+
+    Infinite where memory was not seen: that it did not grow is not known then.
+    """
     total = np.array([own + workers for _, own, workers in memory])
+    if not total.any():
+        return np.inf
     n = max(1, len(total) // 5)
     early, late = np.median(total[int(len(total) * SETTLED_SHARE) :][:n]), np.median(total[-n:])
     return max(0.0, float(late / early - 1))

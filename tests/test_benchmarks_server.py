@@ -45,3 +45,5 @@ def test_growth_is_seen(bench):
     assert bench.growth(level) == 0
     assert bench.growth(filling) == 0
     assert bench.growth(rising) > 0.1
+    assert bench.growth([]) > 0.1, "memory that was not seen"
+    assert bench.growth([(0.0, 0.0, 0.0)]) > 0.1, "nor read"

@@ -39,6 +39,8 @@ _NOT_FUSED = Degradation("fusion", "a camera's pose is unknown", "each view was 
 STILL_THERE_SHARE = 0.6
 STILL_THERE_M = 0.004
 """A thing is still there where this share of its pixels has not moved by more than this."""
+STILL_THERE_PIXELS = 20
+"""Fewer with depth in both frames tell nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,13 +158,14 @@ def is_still_there(decision: Decision, after: Frame) -> bool:
     before = decision.scene.frame.depth[decision.target.mask]
     now = after.depth[decision.target.mask]
     seen = (before > 0) & (now > 0)
-    if seen.sum() < 20:
+    if seen.sum() < STILL_THERE_PIXELS:
         return False
     same = np.abs(before[seen] - now[seen]) <= STILL_THERE_M
     return float(same.mean()) >= STILL_THERE_SHARE
 
 
-def _same_view(a: Frame, b: Frame) -> bool:
+def same_view(a: Frame, b: Frame) -> bool:
+    """Whether two frames are of one camera at rest."""
     if a.T_world_camera is None or b.T_world_camera is None:
         return a.T_world_camera is b.T_world_camera and a.camera == b.camera
     return a.camera == b.camera and np.array_equal(a.T_world_camera, b.T_world_camera)
@@ -243,4 +246,4 @@ def decide_on_view(
 
 def is_undone(decision: Decision, after: Frame) -> bool:
     """Whether a later frame of the same view shows what was said to be removed where it was."""
-    return _same_view(decision.scene.frame, after) and is_still_there(decision, after)
+    return same_view(decision.scene.frame, after) and is_still_there(decision, after)

@@ -165,6 +165,14 @@ class TestDepth:
         assert (got[3] == 0).all()
         assert (got[4] > 0).all()
 
+    @pytest.mark.parametrize("dtype", ["<u2", ">u2"])
+    def test_that_is_so_in_either_byte_order(self, tmp_path, frame_files, frame, dtype):
+        values = (frame.depth * 1000).astype(dtype)
+        values[3] = 65535
+        np.save(tmp_path / "d.npy", values)
+        got = load_frame(frame_files.color, tmp_path / "d.npy", frame_files.camera).depth
+        assert (got[3] == 0).all()
+
     @pytest.mark.parametrize(
         ("values", "message"),
         [

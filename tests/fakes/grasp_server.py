@@ -19,7 +19,7 @@ from PIL import Image
 
 from thinkgrasp.config import StageConfig, load_config
 from thinkgrasp.server.app import ServerOptions
-from thinkgrasp.server.client import frame_parts
+from thinkgrasp.server.calls import frame_parts
 from thinkgrasp.server.limits import Limits
 from thinkgrasp.server.serving import make_server
 from thinkgrasp.server.workers import Recipe

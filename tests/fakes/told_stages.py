@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from dataclasses import replace
@@ -19,6 +20,11 @@ def told_pipeline(config: PipelineConfig) -> Pipeline:
     return fake_pipeline(planner=ToldPlanner(**orders))
 
 
+def broken_pipeline(config: PipelineConfig) -> Pipeline:
+    """Fails as a plug-in may while it is made."""
+    raise RuntimeError("CUDA is out of memory at /secret/place")
+
+
 class ToldPlanner(FakePlanner):
     def __init__(self, sleep_s: float = 30.0, usd: float = 0.0) -> None:
         super().__init__()
@@ -30,6 +36,10 @@ class ToldPlanner(FakePlanner):
             time.sleep(0.3)
         if "sleep" in instruction:
             time.sleep(self.sleep_s)
+        if "loud" in instruction:
+            os.write(2, b"/secret/place/of/libtiff: error\n")
+            print("/secret/place/of/weights")
+            logging.getLogger("library").warning("/secret/place/weights.pth is old")
         if "crash" in instruction:
             os._exit(11)
         if "bug" in instruction:

@@ -23,6 +23,7 @@ from thinkgrasp.errors import ConfigError
 from thinkgrasp.server import logs
 from thinkgrasp.server.access import Access, is_loopback, read_token
 from thinkgrasp.server.app import ServerOptions
+from thinkgrasp.server.client import Client
 from thinkgrasp.server.decoding import without_paths
 from thinkgrasp.server.limits import Limits
 from thinkgrasp.server.problems import RequestProblem
@@ -168,12 +169,15 @@ class TestCommand:
             found = re.search(r"serves preset offline at (http://127\.0\.0\.1:\d+)", line)
             assert found is not None, line
             process.stderr.readline()
+            with Client(found[1]) as client:
+                client.wait_until_ready()
             process.send_signal(signal.SIGINT)
             out, err = process.communicate(timeout=60)
         finally:
             timer.cancel()
             process.kill()
         assert process.returncode in (0, 130)
+        assert '"event": "stopped"' in err
         assert out == ""
         assert TOKEN not in err + line
 
@@ -243,6 +247,9 @@ class TestLogs:
         ("weights file /home/me/w.pth is missing", "weights file [path] is missing"),
         (r"cannot read C:\models\sam\w.pth", "cannot read [path]"),
         ("~/cache/thinkgrasp/x", "[path]"),
+        ("[Errno 2] No such file or directory: '/home/some one/w.pth'", "[Errno 2] No such file or directory: [path]"),
+        ('cannot open "/weights.pth"', "cannot open [path]"),
+        ("see file:///home/me/w.pth", "see [path]"),
         ("http://127.0.0.1:8000/v1 cannot be reached", "http://127.0.0.1:8000/v1 cannot be reached"),
         ("3/4 of the pixels, 640x480 px/m", "3/4 of the pixels, 640x480 px/m"),
     ],

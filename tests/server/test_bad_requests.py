@@ -162,6 +162,8 @@ BAD: dict[str, tuple[int | tuple[int, ...], Ask]] = {
     "upward address": (404, raw(b"GET /page/../../../../etc/passwd HTTP/1.1\r\nHost: localhost\r\n\r\n")),
     "upward address, encoded": (404, posted("/page/..%2f..%2f__init__.py", "GET")),
     "upward address, twice encoded": (404, posted("/page/%252e%252e%252fapp.py", "GET")),
+    "a slash too many": (404, posted("/v1/grasp/", files=parts_of(sample_frame()))),
+    "a slash too many on a page": (404, posted("/docs/", "GET")),
     "NUL in the address": (404, posted("/page/%00", "GET")),
     "wrong method": (405, posted("/v1/grasp", "GET")),
     "wrong method on a page": (405, posted("/healthz", "POST", json={})),
@@ -184,6 +186,11 @@ BAD: dict[str, tuple[int | tuple[int, ...], Ask]] = {
         400,
         posted(content=b'{"x": ' + b"9" * 9000 + b"}", headers={"Content-Type": "application/json"}),
     ),
+    "millions of values in JSON": (
+        400,
+        posted(content=b'{"color": [' + b"1," * 1_400_000 + b"1]}", headers={"Content-Type": "application/json"}),
+    ),
+    "thousands of keys in a part": (400, with_part(camera=json.dumps({f"{i}": 0 for i in range(9000)}))),
     "a list": (400, posted(json=[1, 2])),
     "a text": (400, posted(json="grasp")),
     "another type": (415, posted(content=b"hello", headers={"Content-Type": "text/plain"})),
@@ -201,6 +208,17 @@ BAD: dict[str, tuple[int | tuple[int, ...], Ask]] = {
             content=b"--b\r\nContent-Disposition: form-data\r\n\r\nx\r\n--b--\r\n", headers={"Content-Type": MULTIPART}
         ),
     ),
+    "a part in another alphabet": (
+        422,
+        posted(
+            content=b'--b\r\nContent-Disposition: form-data; name="color"\r\n\r\n+2AA-\r\n--b--\r\n',
+            headers={"Content-Type": f"{MULTIPART}; charset=utf-7"},
+        ),
+    ),
+    "multipart with a boundary that is none": (
+        400,
+        posted(content=b"x", headers={"Content-Type": 'multipart/form-data; boundary="\xff"'.encode("latin-1")}),
+    ),
     "a part twice": (400, posted(files=[*parts_of(FRAME).items(), ("instruction", ("i", b"again", "text/plain"))])),
     "a hundred parts": (400, posted(files={f"part{i}": (f"{i}", b"x", "text/plain") for i in range(100)})),
     "an unknown part": (422, with_part(robot="ur5")),
@@ -217,6 +235,13 @@ BAD: dict[str, tuple[int | tuple[int, ...], Ask]] = {
     "empty instruction": (422, with_part(instruction="  ")),
     "long instruction": (422, with_part(instruction="x" * 3000)),
     "instruction that is no text": (400, with_part(instruction=b"\xff\xfe")),
+    "instruction that is no text, as a field": (
+        400,
+        posted(
+            content=b'--b\r\nContent-Disposition: form-data; name="instruction"\r\n\r\n\xff\xfe\r\n--b--\r\n',
+            headers={"Content-Type": MULTIPART},
+        ),
+    ),
     "half a character": (
         (400, 422),
         posted(
@@ -300,6 +325,15 @@ BAD: dict[str, tuple[int | tuple[int, ...], Ask]] = {
     "episode without an instruction": (422, posted("/v1/episodes", json={})),
     "episode without an attempt": (422, posted("/v1/episodes", json={"instruction": "a", "step_limit": 0})),
     "episode as a form": (415, posted("/v1/episodes", data={"instruction": "a"})),
+    "episode of a megabyte": (413, posted("/v1/episodes", json={"instruction": "x" * 1_000_000})),
+    "episode of a megabyte, in pieces": (
+        413,
+        posted(
+            "/v1/episodes",
+            content=(bytes(50_000) for _ in range(20)),
+            headers={"Content-Type": "application/json"},
+        ),
+    ),
     "no such episode": (404, posted(UNKNOWN, "GET")),
     "end of no such episode": (404, posted(UNKNOWN, "DELETE")),
     "frame for no such episode": (
@@ -327,6 +361,18 @@ BAD: dict[str, tuple[int | tuple[int, ...], Ask]] = {
     "paper: no such file": (400, posted("/grasp_pose", json=PATHS | {"text_path": "nothing.txt"})),
     "paper: no camera of that size": (400, posted("/grasp_pose", json=PATHS)),
     "paper: a part missing": (400, posted("/grasp_pose", files={"image": ("i", b"x", "image/png")})),
+    "paper: text in another alphabet": (
+        400,
+        posted(
+            "/grasp_pose",
+            content=b"".join(
+                b'--b\r\nContent-Disposition: form-data; name="%s"\r\n\r\n+2AA-\r\n' % name
+                for name in (b"image", b"depth", b"text")
+            )
+            + b"--b--\r\n",
+            headers={"Content-Type": f"{MULTIPART}; charset=utf-7"},
+        ),
+    ),
     "paper: no image": (
         400,
         posted("/grasp_pose", files={n: (n, b"x", "image/png") for n in ("image", "depth", "text")}),
@@ -383,3 +429,8 @@ def test_a_bad_request_is_an_error_in_json(name: str, server: Running, folder: P
 
 def test_the_table_is_long_enough():
     assert len(BAD) >= 60
+
+
+def test_an_instruction_may_be_all_commas(server: Running):
+    answer = server.http.post("/v1/grasp", json=json_of(FRAME, "," * 2000))
+    assert answer.status_code == 200, answer.text

@@ -15,7 +15,8 @@ from fakes.stages import table_frame
 from thinkgrasp.errors import ConfigError, InputError, ServerError
 from thinkgrasp.server import client as client_module
 from thinkgrasp.server.app import ServerOptions
-from thinkgrasp.server.client import AsyncClient, Client, frame_parts
+from thinkgrasp.server.calls import frame_parts
+from thinkgrasp.server.client import AsyncClient, AsyncRemoteEpisode, Client, RemoteEpisode
 from thinkgrasp.server.decoding import FrameUpload, decode_frame
 from thinkgrasp.testing import sample_frame
 
@@ -57,6 +58,7 @@ def test_both_clients_give_the_same(server: Running):
     async def ask() -> tuple:
         async with AsyncClient(server.url, token=TOKEN) as client:
             assert await client.is_ready()
+            await client.wait_until_ready(1)
             decision, explained = await asyncio.gather(
                 client.grasp(FRAME, "red", seed=3), client.explain(FRAME, "red", seed=3)
             )
@@ -142,10 +144,11 @@ def good(server: Running) -> httpx.Response:
 
 
 def test_a_busy_server_is_asked_again_when_it_says(good, waits):
-    transport, seen = answering(error(429, **{"Retry-After": "3"}), error(503, **{"Retry-After": "soon"}), good)
+    says = ("3", "soon", "nan", "inf", "-5")
+    transport, seen = answering(*(error(429, **{"Retry-After": when}) for when in says), good)
     with Client("http://robot/api/", token="", transport=transport) as client:
         assert client.grasp(FRAME, "red").status == "grasp"
-    assert waits == [0, 3, 1]
+    assert waits == [0, 3, 1, 1, 60, 0.1]
     assert {str(r.url) for r in seen} == {"http://robot/api/v1/grasp"}
     assert "authorization" not in seen[0].headers
 
@@ -184,3 +187,11 @@ def test_a_server_that_is_not_ready_in_time(waits: list[float], monkeypatch: pyt
     transport, _ = answering(httpx.ConnectError("refused"))
     with Client("http://robot", transport=transport) as client, pytest.raises(ServerError, match="not ready within 60"):
         client.wait_until_ready(60)
+
+
+def test_both_clients_have_the_same_methods():
+    def public(kind: type) -> set[str]:
+        return {name for name in vars(kind) if not name.startswith("_")}
+
+    assert public(Client) == public(AsyncClient)
+    assert public(RemoteEpisode) == public(AsyncRemoteEpisode)

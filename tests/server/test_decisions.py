@@ -17,6 +17,7 @@ from thinkgrasp.config import make_pipeline
 from thinkgrasp.schema import DecisionModel, decision_to_schema
 from thinkgrasp.server.app import ServerOptions
 from thinkgrasp.server.client import Client
+from thinkgrasp.server.schema import ExplainedDecision
 from thinkgrasp.testing import sample_frame
 from thinkgrasp.types import CameraIntrinsics, Frame
 
@@ -51,6 +52,22 @@ def test_multipart_and_json_give_the_local_decision(server: Running, local: Deci
         assert answer.status_code == 200, answer.text
         assert without_times(DecisionModel.model_validate_json(answer.content)) == without_times(local)
         assert answer.headers["x-request-id"]
+
+
+def test_files_may_come_as_fields_without_a_name(server: Running):
+    """As some libraries send what is no file on their disk."""
+    parts = parts_of(sample_frame()).items()
+    body = b"".join(
+        b'--b\r\nContent-Disposition: form-data; name="%s"\r\n\r\n%s\r\n' % (name.encode(), content)
+        for name, (_, content, _) in parts
+        if name != "depth"
+    )
+    mm = np.rint(sample_frame().depth * 1000).astype(np.uint16)
+    body += b'--b\r\nContent-Disposition: form-data; name="depth"\r\n\r\n%s\r\n--b--\r\n' % png(mm)
+    headers = {"Content-Type": "multipart/form-data; boundary=b"}
+    answer = server.http.post("/v1/grasp", content=body, headers=headers)
+    assert answer.status_code == 200, answer.text
+    assert answer.json()["status"] == "grasp"
 
 
 @pytest.mark.parametrize("depth", ["png", "tiff", "npy16", "npy32"])
@@ -123,6 +140,14 @@ def test_explain_brings_the_pictures(server: Running, local: DecisionModel):
     assert without_times(explained.decision) == without_times(local)
 
 
+@pytest.mark.parametrize("path", ["/healthz", "/readyz", "/", "/openapi.json"])
+def test_probes_may_ask_for_the_headers_alone(server: Running, path: str):
+    whole, head = server.http.get(path), server.http.head(path)
+    assert (head.status_code, head.content) == (200, b"")
+    assert head.headers["content-length"] == whole.headers["content-length"]
+    assert server.http.head("/v1/grasp").status_code == 405
+
+
 def test_health_readiness_metrics_and_interface(server: Running):
     get = server.http.get
     assert get("/healthz").json()["status"] == "ok"
@@ -176,6 +201,14 @@ class TestCommand:
         result = cli(*self.args(files, "the red box", "--server", server.url, "--preset", "vlm"))
         assert result.code == 2
         assert "--preset is the server's to choose" in result.err
+
+    @pytest.mark.parametrize("picture", ["", "AAAA", "=", "iVBORw0KGgo="])
+    def test_a_picture_that_is_none_is_one_line(self, server, local, cli, files, tmp_path, monkeypatch, picture):
+        explained = ExplainedDecision(decision=local, overlay_png=picture, view_html="")
+        monkeypatch.setattr(Client, "explain", lambda *_, **__: explained)
+        result = cli(*self.args(files, "the red box", "--server", server.url, "--overlay", str(tmp_path / "o.png")))
+        assert result.code == 2
+        assert result.err.splitlines() == [f"error: {server.url} sent an annotated picture that cannot be read"]
 
     def test_a_server_that_is_not_there_is_one_line(self, cli, files):
         result = cli(*self.args(files, "the red box", "--server", "http://127.0.0.1:9"))

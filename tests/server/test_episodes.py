@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from fakes.chat_server import dead_url
 from fakes.grasp_server import Running, parts_of, running, told_recipe
@@ -11,16 +14,17 @@ from fakes.stages import table_frame
 
 from thinkgrasp.config import StageConfig, load_config
 from thinkgrasp.errors import ConfigError, InputError
+from thinkgrasp.schema import DecisionModel
 from thinkgrasp.server.app import ServerOptions
 from thinkgrasp.server.client import Client
 from thinkgrasp.server.decoding import FrameUpload
 from thinkgrasp.server.episodes import Episodes
-from thinkgrasp.server.jobs import Settings
+from thinkgrasp.server.jobs import MAX_SIGHTING_PIXELS, Settings, Sighting
 from thinkgrasp.server.limits import Limits
 from thinkgrasp.server.problems import RequestProblem
 from thinkgrasp.server.workers import Recipe
 from thinkgrasp.testing import sample_frame
-from thinkgrasp.types import Frame, Usage
+from thinkgrasp.types import CameraIntrinsics, Decision, Frame, Plan, Scene, Segment, Usage
 
 FULL, EMPTY = table_frame(), table_frame(things=False)
 LIMITS = Limits(episodes=20)
@@ -97,6 +101,47 @@ def test_a_frame_with_the_outcome_verifies_it(client: Client):
     assert (status.verified, status.end) == (True, "goal_delivered")
 
 
+@pytest.mark.parametrize("blind", ["another camera", "another pose", "no depth there"])
+def test_a_frame_that_cannot_tell_verifies_nothing(client: Client, blind: str):
+    pose = np.eye(4)
+    first = replace(FULL, T_world_camera=pose) if blind == "another pose" else FULL
+    after = {
+        "another camera": lambda: replace(FULL, camera=replace(FULL.camera, fx=FULL.camera.fx + 1)),
+        "another pose": lambda: replace(FULL, T_world_camera=pose + 0.1 * np.eye(4, k=3)),
+        "no depth there": lambda: replace(FULL, depth=np.where(np.arange(FULL.depth.shape[1]) < 32, 0, FULL.depth)),
+    }[blind]()
+    episode = client.start_episode("red")
+    episode.observe(first)
+    status = episode.report(True, delivered=False, after=after)
+    assert (status.verified, status.undone, status.state) == (None, False, "observe")
+    assert episode.observe(first).undone, "the next frame can tell"
+
+
+def test_one_that_is_stopped_while_it_is_decided_asks_for_nothing(client: Client, server: Running):
+    episode = client.start_episode("red nap")
+    with ThreadPoolExecutor(1) as threads:
+        observed = threads.submit(episode.observe, FULL)
+        deadline = time.monotonic() + 30
+        while "thinkgrasp_requests_running 1.0" not in server.http.get("/metrics").text:
+            assert time.monotonic() < deadline
+        assert server.http.delete(f"/v1/episodes/{episode.status.episode}").json()["end"] == "stopped"
+        status = observed.result()
+    assert (status.state, status.end) == ("ended", "stopped")
+
+
+def test_of_a_large_target_little_is_kept():
+    size = (300, 400)
+    depth = np.full(size, 0.5, np.float32)
+    frame = Frame(np.zeros((*size, 3), np.uint8), depth, CameraIntrinsics(400, 300, 400.0, 400.0, 199.5, 149.5))
+    target = Segment("", 1.0, np.ones(size, bool), (0, 0, 400, 300), True)
+    scene = Scene(frame, np.zeros((*size, 3), np.float32))
+    sighting = Sighting.of(Decision("grasp", "", scene, Plan("", ""), target))
+    assert sighting is not None
+    assert len(sighting.pixels) <= MAX_SIGHTING_PIXELS
+    assert sighting.is_in(frame) is True
+    assert sighting.is_in(replace(frame, depth=depth + 0.1)) is False
+
+
 @pytest.mark.parametrize(("instruction", "end"), [("green", "nothing_left"), ("red", "no_grasp")])
 def test_the_loops_other_ends(client: Client, instruction: str, end: str):
     episode = client.start_episode(instruction, step_limit=1000)
@@ -127,19 +172,19 @@ def test_turns_are_kept(client: Client, server: Running):
     episode = client.start_episode("red")
     with pytest.raises(InputError, match="it waits for a frame"):
         episode.report(True)
-    episode.observe(FULL)
+    assert server.http.get(f"/v1/episodes/{episode.status.episode}").json()["decision"] is None
+    decision = episode.observe(FULL).decision
     with pytest.raises(InputError, match="it waits for the outcome"):
         episode.observe(FULL)
     looked = server.http.get(f"/v1/episodes/{episode.status.episode}").json()
-    assert (looked["state"], looked["decision"]) == ("act", None)
+    assert looked["state"] == "act"
+    assert DecisionModel.model_validate(looked["decision"]) == decision, "a client whose answer was lost asks again"
     assert episode.stop().end == "stopped"
     with pytest.raises(InputError, match="no episode has this id"):
         episode.report(True)
 
 
 def test_two_requests_at_once_are_told_apart(client: Client, server: Running):
-    from concurrent.futures import ThreadPoolExecutor
-
     episode = client.start_episode("red nap")
     parts = {k: v for k, v in parts_of(FULL).items() if k != "instruction"}
     path = f"/v1/episodes/{episode.status.episode}/observe"
@@ -188,9 +233,12 @@ def test_one_that_is_being_answered_does_not_expire():
     clock = Clock()
     episodes = Episodes(Limits(episode_ttl_s=10), clock)
     episode = episodes.create("a", 1)
-    with episode.turn("observe"):
+    with episodes.turn(episode.id, "observe"):
         clock.now = 100
         assert len(episodes) == 1
+    clock.now = 109
+    assert len(episodes) == 1, "its time begins with the answer"
+    clock.now = 111
     assert len(episodes) == 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import socket
 import threading
@@ -14,6 +15,7 @@ import pytest
 from fakes.grasp_server import Running, parts_of, running, told_recipe
 from fakes.stages import table_frame
 
+from thinkgrasp.server import serving
 from thinkgrasp.server.app import ServerOptions
 from thinkgrasp.server.client import Client
 from thinkgrasp.server.limits import STAGE_TIMEOUTS_S, Limits
@@ -151,12 +153,14 @@ def test_an_episode_goes_from_worker_to_worker(pair: Running):
     assert episode.status.attempts == 3
 
 
-def test_a_worker_that_dies_is_replaced(pair: Running):
+def test_a_worker_that_dies_is_replaced(pair: Running, caplog: pytest.LogCaptureFixture):
+    caplog.set_level(logging.INFO, "thinkgrasp.server")
     answer = grasp(pair, "red crash")
     assert answer.status_code == 500
     assert answer.json()["error"]["code"] == "internal_error"
     assert grasp(pair, "red").status_code == 200
     assert count(pair, "thinkgrasp_worker_restarts_total", reason="ended") == 1
+    assert any("ended with code 11" in str(r.__dict__) for r in caplog.records)
 
 
 def test_workers_are_started_anew_after_so_many_decisions(pair: Running):
@@ -166,3 +170,42 @@ def test_workers_are_started_anew_after_so_many_decisions(pair: Running):
             break
     assert count(pair, "thinkgrasp_worker_restarts_total", reason="recycled") >= 1
     assert grasp(pair, "red").status_code == 200
+
+
+def test_what_libraries_print_in_a_worker_is_not_in_the_log(capfd: pytest.CaptureFixture[str]):
+    with running(told_recipe(), ServerOptions()) as server:
+        assert grasp(server, "red loud").status_code == 200
+    out, err = capfd.readouterr()
+    assert "secret" not in out + err
+    (line,) = (json.loads(line) for line in err.splitlines() if "library" in line)
+    assert line.items() >= {"level": "warning", "logger": "library", "event": "[path] is old"}.items()
+
+
+def test_a_server_that_stops_answers_what_still_runs(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(serving, "GRACEFUL_S", 1)
+    with ThreadPoolExecutor(1) as threads:
+        with running(told_recipe(sleep_s=60.0), ServerOptions()) as server:
+            asked = threads.submit(grasp, server, "red sleep")
+            until(lambda: count(server, "thinkgrasp_requests_running") == 1)
+        answer = asked.result()
+    assert answer.status_code == 503
+    assert answer.json()["error"]["code"] == "stopping"
+    assert answer.headers["retry-after"]
+
+
+def test_a_client_that_does_not_take_its_answers_is_cut_off():
+    limits = Limits(send_timeout_s=0.5, keep_alive_s=60, connections=2)
+    with running(told_recipe(), ServerOptions(workers=0, limits=limits)) as server, socket.socket() as connection:
+
+        def is_room() -> bool:
+            try:
+                return httpx.get(f"{server.url}/healthz").status_code == 200
+            except httpx.HTTPError:
+                return False
+
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        connection.connect(("127.0.0.1", server.port))
+        connection.setblocking(False)
+        connection.send(b"GET /page/page.js HTTP/1.1\r\nHost: localhost\r\n\r\n" * 1500)
+        assert not is_room()
+        until(is_room)

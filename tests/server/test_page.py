@@ -88,6 +88,14 @@ def test_files_are_dropped_a_sentence_typed_and_the_grasp_seen(browser, server: 
     page.press("#instruction", "Enter")
     wait_for_result(tab, "a bicycle")
     assert page.inner_text("#status") == "NO TARGET"
+    page.click("#numbers summary")
+    page.fill("input[name=fx]", "wide")
+    page.press("#instruction", "Enter")
+    assert page.inner_text("#problem") == 'fx must be a number, got "wide"'
+    assert page.is_hidden("#result"), "no old answer beside a new problem"
+    page.fill("input[name=fx]", "")
+    page.press("#instruction", "Enter")
+    wait_for_result(tab, "a bicycle")
     if keep:
         page.wait_for_timeout(500)
         page.screenshot(path=str(Path(keep) / "server-page-nothing.png"))

@@ -81,6 +81,12 @@ def test_a_camera_with_the_request_goes_first(server: Running):
     assert "is for 640x480 images" in answer.json()["error"]
 
 
+def test_an_empty_camera_is_not_taken_for_none(server: Running):
+    answer = server.http.post("/grasp_pose", files=files(camera=b""))
+    assert answer.status_code == 400
+    assert "not readable JSON" in answer.json()["error"]
+
+
 def test_no_grasp_is_an_error_of_the_papers_kind(server: Running):
     answer = server.http.post("/grasp_pose", files=files(text=b"a bicycle"))
     assert answer.status_code == 400

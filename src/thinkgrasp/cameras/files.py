@@ -188,7 +188,7 @@ def _to_metres(raw: NDArray[np.generic], path: Source, given: float | None, came
     scale = given if given is not None else 1.0 if is_float else camera_scale or DEFAULT_DEPTH_SCALE
     values = raw.astype(np.float64)
     missing = ~np.isfinite(values)
-    if raw.dtype == np.uint16:
+    if raw.dtype.newbyteorder("=") == np.uint16:
         missing |= raw == np.uint16(65535)
     values[missing] = 0
     if (values < 0).any():

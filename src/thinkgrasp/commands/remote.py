@@ -9,10 +9,11 @@ from pathlib import Path
 from PIL import Image
 
 from thinkgrasp.commands.stages import DEFAULT_STAGES, StageOptions
-from thinkgrasp.errors import ConfigError
+from thinkgrasp.errors import ConfigError, ServerError
 from thinkgrasp.outputs import OVERLAY_SUFFIXES, write_atomic
 from thinkgrasp.schema import DecisionModel
 from thinkgrasp.server.client import Client
+from thinkgrasp.server.schema import ExplainedDecision
 from thinkgrasp.types import Frame
 
 CLIENTS_OWN = ("seed", "debug")
@@ -47,9 +48,16 @@ def ask_server(
             explained = client.explain(frame, instruction, **options)
             model = explained.decision
             if overlay is not None:
-                picture, buffer = Image.open(io.BytesIO(explained.overlay_bytes())), io.BytesIO()
-                picture.convert("RGB").save(buffer, OVERLAY_SUFFIXES[overlay.suffix.lower()])
+                buffer = io.BytesIO()
+                _picture(url, explained).save(buffer, OVERLAY_SUFFIXES[overlay.suffix.lower()])
                 write_atomic(overlay, buffer.getvalue())
             if view is not None:
                 write_atomic(view, explained.view_html.encode("utf-8"))
     return model, {name: ms for name, ms in model.timings_ms.model_dump().items() if ms > 0}
+
+
+def _picture(url: str, explained: ExplainedDecision) -> Image.Image:
+    try:
+        return Image.open(io.BytesIO(explained.overlay_bytes())).convert("RGB")
+    except Exception as error:  # decoders raise many types on broken data
+        raise ServerError(f"{url} sent an annotated picture that cannot be read") from error

@@ -20,8 +20,9 @@ from thinkgrasp.server.access import Access
 from thinkgrasp.server.decoding import FrameUpload
 from thinkgrasp.server.episodes import Episodes
 from thinkgrasp.server.gate import Gate
-from thinkgrasp.server.jobs import Answer, Decide, Decided, Job, Settings, Verify
+from thinkgrasp.server.jobs import Answer, Decide, Decided, Job, Settings, Verified, Verify
 from thinkgrasp.server.limits import Limits
+from thinkgrasp.server.logs import log
 from thinkgrasp.server.metrics import CONTENT_TYPE, Metrics
 from thinkgrasp.server.paper_api import (
     PUBLISHED_CAMERA_WARNING,
@@ -98,6 +99,7 @@ def make_app(
         pool.start()
         yield
         await pool.close()
+        log("stopped")
 
     app = FastAPI(
         title="ThinkGrasp",
@@ -105,10 +107,11 @@ def make_app(
         description="An RGB-D frame and a sentence in, a 6-DoF two-finger grasp out.",
         docs_url=None,
         redoc_url=None,
+        redirect_slashes=False,
         lifespan=lifespan,
     )
     gate = Gate(app, access=Access(options.token), metrics=metrics, debug=options.debug)
-    desk = _Counter(pool, metrics)
+    counted = _CountedPool(pool, metrics)
     budget_usd = recipe.budget_usd
 
     def route(
@@ -131,16 +134,13 @@ def make_app(
     @contextlib.asynccontextmanager
     async def place(request: Request) -> AsyncGenerator[None, None]:
         """A place among those that may have a worker; a body that gets none is read away."""
-        try:
-            admitted = pool.admit()
-            admitted.__enter__()
-        except Exception:
-            await linger(request)
-            raise
-        try:
+        with contextlib.ExitStack() as held:
+            try:
+                held.enter_context(pool.admit())
+            except Exception:
+                await linger(request)
+                raise
             yield
-        finally:
-            admitted.__exit__(None, None, None)
 
     @route("POST", "/v1/grasp", answer=DecisionModel, body=openapi.frame_body(GraspBody))
     async def grasp(request: Request) -> Response:
@@ -148,7 +148,7 @@ def make_app(
         async with place(request):
             body = await read_model(request, GraspBody, limits)
             job = Decide(_files(body), body.instruction, _settings(body.options), budget_usd=budget_usd)
-            decided = await desk.decide(request, job)
+            decided = await counted.decide(request, job)
         return _json(decided.decision)
 
     @route("POST", "/v1/explain", answer=ExplainedDecision, body=openapi.frame_body(GraspBody))
@@ -158,7 +158,7 @@ def make_app(
             body = await read_model(request, GraspBody, limits)
             settings = _settings(body.options)
             job = Decide(_files(body), body.instruction, settings, budget_usd=budget_usd, pictures=True)
-            decided = await desk.decide(request, job)
+            decided = await counted.decide(request, job)
         overlay, view = decided.overlay_png or "", decided.view_html or ""
         return _json(ExplainedDecision(decision=decided.decision, overlay_png=overlay, view_html=view))
 
@@ -170,8 +170,9 @@ def make_app(
 
     @route("GET", "/v1/episodes/{episode_id}", answer=EpisodeAnswer)
     async def look_up(request: Request) -> Response:
-        """Say where an episode stands."""
-        return _json(episodes.get(request.path_params["episode_id"]).answer(limits))
+        """Say where an episode stands, with the decision whose outcome is awaited."""
+        episode = episodes.get(request.path_params["episode_id"])
+        return _json(episode.answer(limits, decision=episode.awaited))
 
     @route("DELETE", "/v1/episodes/{episode_id}", answer=EpisodeAnswer)
     async def stop(request: Request) -> Response:
@@ -183,25 +184,24 @@ def make_app(
         """Decide what to do now, on a frame of what is seen now."""
         async with place(request):
             body = await read_model(request, ObserveBody, limits)
-            episode = episodes.get(request.path_params["episode_id"])
-            with episode.turn("observe"):
+            with episodes.turn(request.path_params["episode_id"], "observe") as episode:
                 settings = _settings(body.options)
                 job = episode.observe(_files(body), settings, more_views=body.more_views, budget_usd=budget_usd)
-                decided = await desk.decide(request, job)
+                decided = await counted.decide(request, job)
                 episode.observed(decided, more_views=body.more_views)
         return _json(episode.answer(limits, decision=decided.decision, undone=decided.undone))
 
-    @route("POST", "/v1/episodes/{episode_id}/outcome", answer=EpisodeAnswer, body=openapi.outcome_body(OutcomeBody))
+    @route("POST", "/v1/episodes/{episode_id}/outcome", answer=EpisodeAnswer, body=openapi.frame_body(OutcomeBody))
     async def outcome(request: Request) -> Response:
         """Say what became of the grasp that was decided last."""
         async with place(request):
             body = await read_model(request, OutcomeBody, limits)
-            episode = episodes.get(request.path_params["episode_id"])
-            with episode.turn("act"):
-                verified: bool | None = None
+            with episodes.turn(request.path_params["episode_id"], "act") as episode:
+                seen: bool | None = None
                 removed = episode.awaits_removal
                 if body.success and body.color is not None and removed is not None:
-                    verified = not await desk.verify(request, Verify(_files(body), removed))
+                    seen = await counted.verify(request, Verify(_files(body), removed))
+                verified = None if seen is None else not seen
                 said = Outcome(body.success, body.reason or ("held" if body.success else "missed"))
                 episode.acted(said, delivered=body.delivered, is_verified=verified)
         return _json(episode.answer(limits, undone=verified is False, verified=verified))
@@ -212,7 +212,7 @@ def make_app(
         async with place(request):
             asked = await read_paper_request(request, options.paper, limits)
             job = Decide(asked.frame, asked.instruction, budget_usd=budget_usd, pose=True)
-            decided = await desk.decide(request, job)
+            decided = await counted.decide(request, job)
         headers = {"Warning": PUBLISHED_CAMERA_WARNING} if asked.is_camera_assumed else {}
         if decided.pose is None:
             said = f"{decided.decision.status.replace('_', ' ')}: {decided.decision.plan.rationale}"
@@ -259,7 +259,7 @@ def make_app(
     return gate
 
 
-class _Counter:
+class _CountedPool:
     """The pool, with what it decides counted and noted in the log."""
 
     def __init__(self, pool: Pool, metrics: Metrics) -> None:
@@ -275,10 +275,12 @@ class _Counter:
         notes |= {"decision": answer.decision.status, "degraded": len(answer.decision.degraded)}
         return answer
 
-    async def verify(self, request: Request, job: Verify) -> bool:
-        """Return whether the target is still in its place."""
+    async def verify(self, request: Request, job: Verify) -> bool | None:
+        """Return whether the target is still in its place; None where that is not known."""
         answer = await self._carry_out(request, job)
-        return not isinstance(answer, Decided) and answer.undone
+        if not isinstance(answer, Verified):
+            raise TypeError("a Verify is answered by a Verified")
+        return answer.still_there
 
     async def _carry_out(self, request: Request, job: Job) -> Answer:
         return await self._pool.carry_out(job, _left(request))

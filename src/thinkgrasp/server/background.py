@@ -7,15 +7,18 @@ import re
 import subprocess
 import sys
 import threading
+import time
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import TextIO
+from typing import TextIO, cast
 
 from thinkgrasp.errors import ServerError
 from thinkgrasp.outputs import one_line
 from thinkgrasp.server.client import TOKEN_VARIABLE, Client
 
 STOP_S = 30
+POLL_S = 0.1
 
 
 @contextmanager
@@ -32,34 +35,33 @@ def server_process(*args: str, environment: Mapping[str, str] | None = None, rea
     """
     if environment is None:
         environment = {name: value for name, value in os.environ.items() if name != TOKEN_VARIABLE}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "thinkgrasp.cli", "serve", "--port", "0", *args],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=dict(environment),
-    )
-    log = process.stderr
-    try:
-        first = log.readline() if log is not None else ""
-        found = re.search(r" at (http://\S+)", first)
-        if log is None or found is None:
-            raise ServerError(f"the server did not start: {one_line(first)}")
-        threading.Thread(target=_read_away, args=(log,), daemon=True).start()
-        with Client(found[1], token=environment.get(TOKEN_VARIABLE, "")) as client:
-            client.wait_until_ready(ready_s)
-        yield found[1]
-    finally:
-        process.terminate()
+    command = [sys.executable, "-m", "thinkgrasp.cli", "serve", "--port", "0", *args]
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=dict(environment)
+    ) as process:
+        log = cast(TextIO, process.stderr)
+        last: deque[str] = deque(maxlen=1)
+        reader = threading.Thread(target=last.extend, args=(log,), daemon=True)  # else the pipe fills up and stops it
         try:
-            process.wait(STOP_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-
-
-def _read_away(log: TextIO) -> None:
-    """Keep the pipe from filling up, which would stop the server."""
-    with log:
-        for _ in log:
-            pass
+            first = log.readline()
+            found = re.search(r" at (http://\S+)", first)
+            reader.start()
+            if found is None:
+                raise ServerError(f"the server did not start: {one_line(first)}")
+            with Client(found[1], token=environment.get(TOKEN_VARIABLE, "")) as client:
+                deadline = time.monotonic() + ready_s
+                while not client.is_ready():
+                    if process.poll() is not None:
+                        reader.join()
+                        raise ServerError(f"the server did not start: {one_line(''.join(last))}")
+                    if time.monotonic() > deadline:
+                        raise ServerError(f"{found[1]} was not ready within {ready_s:g} s")
+                    time.sleep(POLL_S)
+            yield found[1]
+        finally:
+            process.terminate()
+            try:
+                process.wait(STOP_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+            reader.join()

@@ -4,28 +4,36 @@
     with Client("http://localhost:8000") as client:
         decision = client.grasp(frame, "the red box")       # a DecisionModel, as `thinkgrasp grasp --json` prints
 
-What goes over the wire is written once, as pure functions; the two clients only send.
+Requests are described in `calls`; what is sent when, and what an answer means, once in `_Asker`. The two clients only
+send and wait.
 """
 
 from __future__ import annotations
 
 import asyncio
-import io
-import json
+import math
 import os
 import time
-from collections.abc import Generator, Mapping
-from dataclasses import dataclass
+from collections.abc import Generator
 from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Self, TypeVar
 
-import numpy as np
-from PIL import Image
 from pydantic import BaseModel, ValidationError
 
 from thinkgrasp.errors import ConfigError, InputError, MissingDependency, ServerError
 from thinkgrasp.outputs import one_line
 from thinkgrasp.schema import DecisionModel
+from thinkgrasp.server.calls import (
+    READY_CALL,
+    Call,
+    begin_call,
+    explain_call,
+    grasp_call,
+    observe_call,
+    outcome_call,
+    stop_call,
+)
+from thinkgrasp.server.calls import frame_parts as frame_parts
 from thinkgrasp.server.schema import EpisodeAnswer, ExplainedDecision
 from thinkgrasp.types import Frame
 
@@ -41,27 +49,20 @@ DEFAULT_TIMEOUT_S = 300.0
 DEFAULT_PATIENCE_S = 120.0
 MAX_WAIT_S = 60.0
 """A server may ask for longer; it is asked again after this."""
+READY_POLL_S = 0.1
 
 BAD_INPUT_STATUSES = (400, 408, 409, 413, 415, 422)
 ACCESS_STATUSES = (401, 403)
 TRANSIENT_STATUSES = (429, 503)
 
-_T = TypeVar("_T", bound=BaseModel)
-
-
-@dataclass(frozen=True)
-class Call(Generic[_T]):
-    """One request, and what its answer is read as."""
-
-    method: str
-    path: str
-    answer: type[_T]
-    files: Mapping[str, tuple[str, bytes, str]] | None = None
-    body: Mapping[str, object] | None = None
+_T = TypeVar("_T")
+_M = TypeVar("_M", bound=BaseModel)
+_Talk = Generator[tuple[float, Call[Any]], httpx.Response | httpx.HTTPError, _T]
+"""Yields how long to wait [s] and what to send then, takes what came of it, and returns what came of it all."""
 
 
 class _Asker:
-    """What both clients share: addresses, the token, and the reading of answers."""
+    """What both clients share: the address, the token, and what is sent when."""
 
     def __init__(self, url: str, *, token: str | None, patience_s: float) -> None:
         self.url = _checked_url(url)
@@ -73,7 +74,8 @@ class _Asker:
             self._headers["Authorization"] = f"Bearer {given.strip()}"
         self._patience_s = patience_s
 
-    def _parts(self, call: Call[_T]) -> dict[str, Any]:
+    def _sent(self, call: Call[Any]) -> dict[str, Any]:
+        """Return a request as httpx takes it."""
         more: dict[str, Any] = {}
         if call.files is not None:
             more["files"] = dict(call.files)
@@ -81,29 +83,32 @@ class _Asker:
             more["json"] = call.body
         return {"method": call.method, "url": f"{self.url}{call.path}", "headers": self._headers, **more}
 
-    def _attempts(self, call: Call[_T]) -> Generator[float, httpx.Response | httpx.HTTPError, _T]:
-        """Yield how long to wait before each attempt, take what it gave, and return the answer."""
+    def _asked(self, call: Call[_M]) -> _Talk[_M]:
+        """Send one request, again while the server is busy and there is time."""
         deadline = time.monotonic() + self._patience_s
-        wait = 0.0
+        wait_s = 0.0
         while True:
-            given = yield wait
+            given = yield wait_s, call
             if isinstance(given, httpx.HTTPError):
                 raise _unreachable(self.url, given) from given
             if given.status_code in TRANSIENT_STATUSES:
-                wait = _retry_after_s(given)
-                if time.monotonic() + wait <= deadline:
+                wait_s = _retry_after_s(given)
+                if time.monotonic() + wait_s <= deadline:
                     continue
-            return self._read(call, given)
+            return _read(self.url, call, given)
 
-    def _read(self, call: Call[_T], response: httpx.Response) -> _T:
-        if not response.is_success:
-            raise _refusal(self.url, response)
-        try:
-            return call.answer.model_validate_json(response.content)
-        except ValidationError as error:
-            raise ServerError(
-                f"{self.url} answered with something else than a ThinkGrasp server of this version does; is it one?"
-            ) from error
+    def _seen_ready(self) -> _Talk[bool]:
+        """Look once."""
+        return _is_ready((yield 0.0, READY_CALL))
+
+    def _awaited(self, timeout_s: float) -> _Talk[None]:
+        """Look until the models are loaded."""
+        deadline = time.monotonic() + timeout_s
+        wait_s = 0.0
+        while not _is_ready((yield wait_s, READY_CALL)):
+            if time.monotonic() > deadline:
+                raise ServerError(f"{self.url} was not ready within {timeout_s:g} s")
+            wait_s = READY_POLL_S
 
 
 class Client(_Asker):
@@ -169,10 +174,7 @@ class Client(_Asker):
 
     def is_ready(self) -> bool:
         """Whether the server is up and its models are loaded."""
-        try:
-            return self._http.get(f"{self.url}/readyz", headers=self._headers).status_code == 200
-        except httpx.HTTPError:
-            return False
+        return self._carry_on(self._seen_ready())
 
     def wait_until_ready(self, timeout_s: float = 60) -> None:
         """Return once the server's models are loaded.
@@ -180,26 +182,24 @@ class Client(_Asker):
         Raises:
             ServerError: They are not within the time.
         """
-        deadline = time.monotonic() + timeout_s
-        while not self.is_ready():
-            if time.monotonic() > deadline:
-                raise ServerError(f"{self.url} was not ready within {timeout_s:g} s")
-            time.sleep(0.1)
+        self._carry_on(self._awaited(timeout_s))
 
-    def ask(self, call: Call[_T]) -> _T:
+    def ask(self, call: Call[_M]) -> _M:
         """Send one request, again while the server is busy, and return its answer; errors as `grasp`."""
-        attempts = self._attempts(call)
-        wait = next(attempts)
-        while True:
-            time.sleep(wait)
-            try:
-                given = self._http.request(**self._parts(call))
-            except httpx.HTTPError as error:
-                given = error
-            try:
-                wait = attempts.send(given)
-            except StopIteration as done:
-                return done.value
+        return self._carry_on(self._asked(call))
+
+    def _carry_on(self, talk: _Talk[_T]) -> _T:
+        try:
+            wait_s, call = next(talk)
+            while True:
+                time.sleep(wait_s)
+                try:
+                    given = self._http.request(**self._sent(call))
+                except httpx.HTTPError as error:
+                    given = error
+                wait_s, call = talk.send(given)
+        except StopIteration as done:
+            return done.value
 
 
 class AsyncClient(_Asker):
@@ -243,25 +243,28 @@ class AsyncClient(_Asker):
 
     async def is_ready(self) -> bool:
         """Whether the server is up and its models are loaded."""
-        try:
-            return (await self._http.get(f"{self.url}/readyz", headers=self._headers)).status_code == 200
-        except httpx.HTTPError:
-            return False
+        return await self._carry_on(self._seen_ready())
 
-    async def ask(self, call: Call[_T]) -> _T:
+    async def wait_until_ready(self, timeout_s: float = 60) -> None:
+        """Return once the server's models are loaded, as `Client.wait_until_ready`."""
+        await self._carry_on(self._awaited(timeout_s))
+
+    async def ask(self, call: Call[_M]) -> _M:
         """Send one request, as `Client.ask`."""
-        attempts = self._attempts(call)
-        wait = next(attempts)
-        while True:
-            await asyncio.sleep(wait)
-            try:
-                given = await self._http.request(**self._parts(call))
-            except httpx.HTTPError as error:
-                given = error
-            try:
-                wait = attempts.send(given)
-            except StopIteration as done:
-                return done.value
+        return await self._carry_on(self._asked(call))
+
+    async def _carry_on(self, talk: _Talk[_T]) -> _T:
+        try:
+            wait_s, call = next(talk)
+            while True:
+                await asyncio.sleep(wait_s)
+                try:
+                    given = await self._http.request(**self._sent(call))
+                except httpx.HTTPError as error:
+                    given = error
+                wait_s, call = talk.send(given)
+        except StopIteration as done:
+            return done.value
 
 
 class RemoteEpisode:
@@ -284,7 +287,7 @@ class RemoteEpisode:
 
     def stop(self) -> EpisodeAnswer:
         """End it; the server forgets it."""
-        return self._ask(Call("DELETE", f"/v1/episodes/{self.status.episode}", EpisodeAnswer))
+        return self._ask(stop_call(self.status.episode))
 
     def _ask(self, call: Call[EpisodeAnswer]) -> EpisodeAnswer:
         self.status = self._client.ask(call)
@@ -311,86 +314,11 @@ class AsyncRemoteEpisode:
 
     async def stop(self) -> EpisodeAnswer:
         """End it; the server forgets it."""
-        return await self._ask(Call("DELETE", f"/v1/episodes/{self.status.episode}", EpisodeAnswer))
+        return await self._ask(stop_call(self.status.episode))
 
     async def _ask(self, call: Call[EpisodeAnswer]) -> EpisodeAnswer:
         self.status = await self._client.ask(call)
         return self.status
-
-
-def grasp_call(frame: Frame, instruction: str, options: Mapping[str, object]) -> Call[DecisionModel]:
-    """Return the request for one decision."""
-    return Call("POST", "/v1/grasp", DecisionModel, {**frame_parts(frame, options), "instruction": _text(instruction)})
-
-
-def explain_call(frame: Frame, instruction: str, options: Mapping[str, object]) -> Call[ExplainedDecision]:
-    """Return the request for one decision with its pictures."""
-    return Call(
-        "POST", "/v1/explain", ExplainedDecision, {**frame_parts(frame, options), "instruction": _text(instruction)}
-    )
-
-
-def begin_call(instruction: str, step_limit: int) -> Call[EpisodeAnswer]:
-    """Return the request that opens an episode."""
-    return Call("POST", "/v1/episodes", EpisodeAnswer, body={"instruction": instruction, "step_limit": step_limit})
-
-
-def observe_call(episode: str, frame: Frame, more_views: bool, options: Mapping[str, object]) -> Call[EpisodeAnswer]:
-    """Return the request for an episode's next decision."""
-    parts = {**frame_parts(frame, options), "more_views": _json_part(more_views)}
-    return Call("POST", f"/v1/episodes/{episode}/observe", EpisodeAnswer, parts)
-
-
-def outcome_call(
-    episode: str, success: bool, reason: str | None, delivered: bool | None, after: Frame | None
-) -> Call[EpisodeAnswer]:
-    """Return the request that reports an outcome."""
-    path = f"/v1/episodes/{episode}/outcome"
-    said: dict[str, object] = {"success": success, "reason": reason, "delivered": delivered}
-    said = {name: value for name, value in said.items() if value is not None}
-    if after is None:
-        return Call("POST", path, EpisodeAnswer, body=said)
-    words = {name: _text(v) if isinstance(v, str) else _json_part(v) for name, v in said.items()}
-    return Call("POST", path, EpisodeAnswer, {**frame_parts(after, {}), **words})
-
-
-def frame_parts(frame: Frame, options: Mapping[str, object]) -> dict[str, tuple[str, bytes, str]]:
-    """Return a frame and options as parts of a multipart body, from which the server makes the same frame."""
-    camera: dict[str, object] = {n: getattr(frame.camera, n) for n in ("width", "height", "fx", "fy", "cx", "cy")}
-    if frame.T_world_camera is not None:
-        camera["T_world_camera"] = frame.T_world_camera.tolist()
-    depth = io.BytesIO()
-    np.save(depth, np.nan_to_num(frame.depth, nan=0.0, posinf=0.0, neginf=0.0), allow_pickle=False)
-    parts = {
-        "color": ("color.png", _png(Image.fromarray(frame.color)), "image/png"),
-        "depth": ("depth.npy", depth.getvalue(), "application/octet-stream"),
-        "camera": _json_part(camera),
-    }
-    if frame.workspace is not None:
-        parts["workspace"] = ("workspace.png", _png(Image.fromarray(frame.workspace)), "image/png")
-    if options:
-        parts["options"] = _json_part(dict(options))
-    return parts
-
-
-def _png(image: Image.Image) -> bytes:
-    buffer = io.BytesIO()
-    image.save(buffer, "PNG", compress_level=1)
-    return buffer.getvalue()
-
-
-def _json_part(value: object) -> tuple[str, bytes, str]:
-    try:
-        return ("part.json", json.dumps(value, allow_nan=False).encode(), "application/json")
-    except (TypeError, ValueError) as error:
-        raise InputError(f"an option cannot be sent: {error}") from error
-
-
-def _text(words: str) -> tuple[str, bytes, str]:
-    try:
-        return ("part.txt", words.encode("utf-8"), "text/plain; charset=utf-8")
-    except UnicodeEncodeError as error:
-        raise InputError(f"the instruction is no valid text: {error}") from error
 
 
 def _checked_url(url: str) -> str:
@@ -409,11 +337,28 @@ def _checked_url(url: str) -> str:
     return str(parsed).rstrip("/")
 
 
+def _read(url: str, call: Call[_M], response: httpx.Response) -> _M:
+    """Return what a server answered, or raise what its answer means."""
+    if not response.is_success:
+        raise _refusal(url, response)
+    try:
+        return call.answer.model_validate_json(response.content)
+    except ValidationError as error:
+        raise ServerError(
+            f"{url} answered with something else than a ThinkGrasp server of this version does; is it one?"
+        ) from error
+
+
+def _is_ready(given: httpx.Response | httpx.HTTPError) -> bool:
+    return isinstance(given, httpx.Response) and given.status_code == 200
+
+
 def _retry_after_s(response: httpx.Response) -> float:
     try:
-        return min(max(float(response.headers.get("Retry-After", "1")), 0.1), MAX_WAIT_S)
+        asked = float(response.headers.get("Retry-After", "1"))
     except ValueError:
         return 1.0
+    return 1.0 if math.isnan(asked) else min(max(asked, 0.1), MAX_WAIT_S)
 
 
 def _refusal(url: str, response: httpx.Response) -> Exception:

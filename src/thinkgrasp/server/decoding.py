@@ -22,7 +22,8 @@ MIN_SIDE_PX = 8
 MAX_ASPECT = 16
 """Of the longer side to the shorter one; narrower pictures come from no camera, and are costly to draw on."""
 
-_PATH = re.compile(r"(?<![\w:/])(?:[A-Za-z]:\\|~?/)[\w.@+-]+(?:[/\\][\w.@+-]+)+/?")
+_QUOTED_PATH = re.compile(r"""(['"])(?:file://|[A-Za-z]:\\|~?/)[^'"\n]*\1""")
+_PATH = re.compile(r"(?<![\w:/])(?:[A-Za-z]:\\|file:///|~?/)[\w.@+-]+(?:[/\\][\w.@+-]+)+/?")
 
 
 class TooLarge(InputError):
@@ -64,7 +65,7 @@ def decode_frame(upload: FrameUpload, max_pixels: int) -> Frame:
 
 def without_paths(text: str) -> str:
     """Return a message with file paths replaced, for messages that come from plug-ins and libraries."""
-    return _PATH.sub("[path]", text)
+    return _PATH.sub("[path]", _QUOTED_PATH.sub("[path]", text))
 
 
 def _look_at(upload: Upload, what: str, formats: tuple[str, ...], max_pixels: int) -> None:

@@ -86,7 +86,9 @@ class Episode:
         )
 
     def observed(self, answer: Decided, *, more_views: bool) -> None:
-        """Take note of a decision."""
+        """Take note of a decision; one that was stopped meanwhile stays so."""
+        if self.state == "ended":
+            return
         self.usage += answer.usage
         self._removed = None
         self.memory = answer.memory or self.memory
@@ -96,6 +98,11 @@ class Episode:
             self._finish("budget_spent")
         elif not more_views:
             self._finish("nothing_left" if answer.decision.status == "no_target" else "no_grasp")
+
+    @property
+    def awaited(self) -> DecisionModel | None:
+        """The decision whose outcome is to come."""
+        return None if self._pending is None else self._pending.decision
 
     @property
     def awaits_removal(self) -> Sighting | None:
@@ -206,6 +213,16 @@ class Episodes:
             raise RequestProblem(404, "no_such_episode", said)
         episode.touched = self._clock()
         return episode
+
+    @contextmanager
+    def turn(self, episode_id: str, *states: State) -> Iterator[Episode]:
+        """Hold one for one request, from whose end on it lives on; raises as `get` and as `Episode.turn`."""
+        episode = self.get(episode_id)
+        with episode.turn(*states):
+            try:
+                yield episode
+            finally:
+                episode.touched = self._clock()
 
     def remove(self, episode_id: str) -> Episode:
         """End one and forget it; raises as `get`."""

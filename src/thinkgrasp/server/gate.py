@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import re
 import sys
@@ -16,11 +17,11 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from thinkgrasp.server.access import Access
-from thinkgrasp.server.logs import log
+from thinkgrasp.server.logs import log, where_raised
 from thinkgrasp.server.metrics import Metrics
 from thinkgrasp.server.problems import ClientLeft, RequestProblem, as_problem, problem_response
 from thinkgrasp.server.uploads import linger
-from thinkgrasp.server.workers import Cancelled, WorkerFailed, where_raised
+from thinkgrasp.server.workers import Cancelled, WorkerFailed
 
 Message = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[Message]]
@@ -53,7 +54,9 @@ class Gate:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        start = time.perf_counter()
+        start, method = time.perf_counter(), scope["method"]
+        if method == "HEAD":
+            scope = {**scope, "method": "GET"}  # the server below sends the headers alone
         headers = Headers(scope=scope)
         asked = headers.get("x-request-id", "")
         request_id = asked if _REQUEST_ID.fullmatch(asked) else uuid.uuid4().hex
@@ -80,14 +83,19 @@ class Gate:
             if isinstance(error, RequestProblem):
                 await linger(request)
             await self.answer_error(request, error)(scope, receive, send_with_headers)  # type: ignore[arg-type]
+        except asyncio.CancelledError:  # the server is being stopped, and waits no longer
+            if status != CLIENT_LEFT:
+                raise
+            stopping = RequestProblem(503, "stopping", "the server is being stopped", {"Retry-After": "5"})
+            await self.answer_error(request, stopping)(scope, receive, send_with_headers)  # type: ignore[arg-type]
         seconds = time.perf_counter() - start
         route = getattr(scope.get("route"), "path", "unmatched")
-        self._metrics.answered(route, scope["method"], status, seconds)
+        self._metrics.answered(route, method, status, seconds)
         log(
             "request",
             level=logging.ERROR if status >= 500 and status != 503 else logging.INFO,
             request_id=request_id,
-            method=scope["method"] if scope["method"].isalpha() and len(scope["method"]) < 10 else "other",
+            method=method if method.isalpha() and len(method) < 10 else "other",
             route=route,
             status=status,
             ms=round(seconds * 1e3, 1),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from thinkgrasp.errors import ContractError
 from thinkgrasp.interfaces import Planner
-from thinkgrasp.loop import decide_on_view, is_undone, remember
+from thinkgrasp.loop import STILL_THERE_PIXELS, decide_on_view, is_still_there, remember, same_view
 from thinkgrasp.memory import Memory
 from thinkgrasp.pipeline import Pipeline
 from thinkgrasp.schema import DEFAULT_STANDOFF_M, MAX_ALTERNATIVES, DecisionModel, decision_to_schema
@@ -31,6 +32,8 @@ Announce = Callable[[str], None]
 PENDING = Outcome(False, "pending")
 """Stands for the outcome of an attempt until its client reports it."""
 STILL_THERE = Outcome(False, "still_there")
+MAX_SIGHTING_PIXELS = 20_000
+"""Of a target, evenly spread: an episode that waits keeps no more."""
 
 
 @dataclass(frozen=True)
@@ -61,17 +64,20 @@ class Sighting:
         if decision.target is None:
             return None
         frame, pixels = decision.scene.frame, np.flatnonzero(decision.target.mask)
+        pixels = pixels[:: math.ceil(len(pixels) / MAX_SIGHTING_PIXELS)]
         return cls(frame.camera, frame.T_world_camera, pixels.astype(np.int32), frame.depth.ravel()[pixels])
 
-    def is_undone_by(self, after: Frame) -> bool:
-        """Whether a later frame shows the target where it was."""
+    def is_in(self, after: Frame) -> bool | None:
+        """Whether a later frame shows the target where it was; None for one of another view, or without depth there."""
         size = (self.camera.height, self.camera.width)
         depth, mask = np.zeros(size, np.float32), np.zeros(size, np.bool_)
         depth.flat[self.pixels], mask.flat[self.pixels] = self.depth, True
         frame = Frame(np.zeros((*size, 3), np.uint8), depth, self.camera, self.T_world_camera)
+        if not same_view(frame, after) or ((depth > 0) & (after.depth > 0)).sum() < STILL_THERE_PIXELS:
+            return None
         scene = Scene(frame, np.zeros((*size, 3), np.float32))
         target = Segment("", 1.0, mask, (0, 0, size[1], size[0]), False)
-        return is_undone(Decision("grasp", "", scene, Plan("", ""), target), after)
+        return is_still_there(Decision("grasp", "", scene, Plan("", ""), target), after)
 
 
 @dataclass(frozen=True)
@@ -128,7 +134,8 @@ class Decided:
 class Verified:
     """What became of a Verify."""
 
-    undone: bool
+    still_there: bool | None
+    """Whether the target is where it was; None where the frame cannot tell."""
 
 
 Answer = Decided | Verified
@@ -167,7 +174,7 @@ class Desk:
         self._announce("decode")
         frame = decode_frame(job.frame, self._max_pixels)
         if isinstance(job, Verify):
-            return Verified(job.last.is_undone_by(frame))
+            return Verified(job.last.is_in(frame))
         return self._decide(job, frame)
 
     def _decide(self, job: Decide, frame: Frame) -> Decided:
@@ -177,7 +184,7 @@ class Desk:
         if job.budget_usd is not None and self._new_planner is not None:
             pipeline.planner = _announced(self._new_planner(max(job.budget_usd, 0.0)), "plan", "plan", self._announce)
         memory, undone, usage = job.memory, False, Usage()
-        if memory is not None and job.last is not None and job.last.is_undone_by(frame):
+        if memory is not None and job.last is not None and job.last.is_in(frame):
             memory, undone = with_last_outcome(memory, STILL_THERE), True
 
         def decide(frame: Frame, memory: Memory) -> Decision:

@@ -39,8 +39,12 @@ class Limits:
     """From the headers to the end of the body."""
     keep_alive_s: float = 15
     """How long an idle connection is kept."""
+    send_timeout_s: float = 60
+    """For an answer to be taken by its client."""
     queue: int = 8
     """Requests that may wait while every worker is busy; one more is answered with 429."""
+    wait_s: float = 300
+    """A request that no worker has taken for so long is answered with 429, or with 503 where no worker is usable."""
     connections: int = 512
     """Open connections; one more is closed at once."""
     episodes: int = 256

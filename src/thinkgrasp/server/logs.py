@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import logging
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TextIO
 
 from thinkgrasp.server.decoding import without_paths
-from thinkgrasp.server.workers import where_raised
 
 EVENTS = logging.getLogger("thinkgrasp.server")
 NOISY = ("python_multipart", "uvicorn")
@@ -39,6 +40,13 @@ class JsonLines(logging.Formatter):
         if record.exc_info and record.exc_info[1] is not None:
             line["error"] = where_raised(record.exc_info[1])
         return json.dumps(line, ensure_ascii=True)
+
+
+def where_raised(error: BaseException) -> str:
+    """Return an exception's type and the file and line that raised it, without folders and without its message."""
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+    return f"{type(error).__name__}{place}"
 
 
 @contextmanager

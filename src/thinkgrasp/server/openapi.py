@@ -72,9 +72,6 @@ def frame_body(model: type[BaseModel]) -> dict[str, Any]:
     return described
 
 
-outcome_body = frame_body
-
-
 def paper_body() -> dict[str, Any]:
     """Describe the two forms of the paper's request."""
     text, file = {"type": "string"}, {"type": "string", "format": "binary"}

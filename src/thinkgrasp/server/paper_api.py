@@ -6,6 +6,7 @@ References:
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import stat
@@ -60,28 +61,28 @@ async def read_paper_request(request: Request, options: PaperOptions, limits: Li
     """
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind == "multipart/form-data":
-        parts = dict(await read_parts(request, limits))
+        parts = await read_parts(request, limits)
         camera = parts.pop("camera", None)
         if set(parts) != set(FILE_PARTS):
             raise _bad(f"the parts must be {', '.join(FILE_PARTS)} and optionally camera")
-        files = {name: part if isinstance(part, bytes) else part.encode() for name, part in parts.items()}
-        image, depth, text = (files[name] for name in FILE_PARTS)
-        given = None if camera is None else camera if isinstance(camera, bytes) else camera.encode()
+        image, depth, text = (parts[name] for name in FILE_PARTS)
     elif kind == "application/json":
         data = read_json_object(await read_body(request, limits))
-        camera = data.pop("camera", None)
+        said = data.pop("camera", None)
+        camera = None if said is None else json.dumps(said).encode()
         if set(data) != set(PATH_KEYS) or not all(isinstance(value, str) for value in data.values()):
             raise _bad(f"the body must hold the texts {', '.join(PATH_KEYS)} and optionally the object camera")
         if options.root is None:
             raise _bad("this server reads no files by path; send the files, or start it with --paper-root DIR")
-        image, depth, text = (read_inside(options.root, data[key], key, limits.body_bytes) for key in PATH_KEYS)
-        given = None if camera is None else json.dumps(camera).encode()
+        image, depth, text = [
+            await asyncio.to_thread(read_inside, options.root, data[key], key, limits.body_bytes) for key in PATH_KEYS
+        ]
     else:
         await linger(request)
         raise RequestProblem(415, "unsupported_media_type", "send multipart/form-data or application/json")
-    camera_file = given or options.camera
-    is_assumed = camera_file is None
-    frame = FrameUpload(image, depth, camera_file or json.dumps(PUBLISHED_CAMERA).encode())
+    camera = options.camera if camera is None else camera
+    is_assumed = camera is None
+    frame = FrameUpload(image, depth, json.dumps(PUBLISHED_CAMERA).encode() if camera is None else camera)
     instruction = as_text(text, "text").strip()
     if not instruction:
         raise _bad("the text is empty; say what to take")

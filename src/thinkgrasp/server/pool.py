@@ -11,10 +11,13 @@ from contextlib import contextmanager
 from thinkgrasp.errors import ThinkGraspError
 from thinkgrasp.server.jobs import Answer, Job
 from thinkgrasp.server.limits import Limits
-from thinkgrasp.server.workers import Cancelled, Watch, Worker, where_raised
+from thinkgrasp.server.logs import where_raised
+from thinkgrasp.server.workers import Cancelled, Watch, Worker
 
 RESTART_WAITS_S = (0.0, 1.0, 5.0, 30.0)
 """Before a worker that could not be started anew is tried again; the last one from then on."""
+WATCH_S = 1.0
+"""How often workers that wait for a job are looked at."""
 
 
 class Busy(Exception):
@@ -83,6 +86,7 @@ class Pool:
         """Begin to start the workers; to be called in the event loop."""
         for worker in self.workers:
             self._spawn(self._bring_up(worker, first=True))
+        self._spawn(self._replace_dead())
 
     async def close(self) -> None:
         """End the workers; what they do is lost."""
@@ -103,8 +107,7 @@ class Pool:
         if not self._was_ready:
             raise NotReady
         if self._admitted >= len(self.workers) + self._limits.queue:
-            ahead = self._admitted / len(self.workers)
-            raise Busy(min(60, max(1, math.ceil(self._typical_s * ahead / 2))))
+            raise self._busy()
         self._admitted += 1
         try:
             yield
@@ -120,17 +123,15 @@ class Pool:
 
         Raises:
             Cancelled: The client left.
+            Busy: No worker became free in time.
+            NotReady: None is usable.
             Refused: The job's input cannot be used.
             StageTimeout: A stage took too long.
             WorkerFailed: A bug, or the end of the worker's process.
         """
         leaving = asyncio.ensure_future(left)
         try:
-            worker = await self._first(self._idle.get(), leaving)
-            while not worker.is_usable():  # its process was ended from outside while it waited for a job
-                self._on_restart("ended")
-                self._spawn(self._bring_up(worker))
-                worker = await self._first(self._idle.get(), leaving)
+            worker = await self._next(leaving)
             watch = Watch(self._limits, self._on_stage)
             loop = asyncio.get_running_loop()
             begun = loop.time()
@@ -150,17 +151,27 @@ class Pool:
         finally:
             leaving.cancel()
 
-    async def _first(self, getting: Awaitable[Worker], leaving: asyncio.Future[None]) -> Worker:
-        """Return a worker, or raise Cancelled when the client leaves before there is one."""
-        task = asyncio.ensure_future(getting)
-        try:
-            await asyncio.wait({task, leaving}, return_when=asyncio.FIRST_COMPLETED)
-            if task.done():
-                return task.result()
-            raise Cancelled
-        finally:
-            if not task.done():
-                task.cancel()
+    async def _next(self, leaving: asyncio.Future[None]) -> Worker:
+        """Return a free worker, or raise Cancelled, Busy or NotReady where there is none before it is too late."""
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + self._limits.wait_s
+        while True:
+            getting = asyncio.ensure_future(self._idle.get())
+            try:
+                left_s = deadline - loop.time()
+                await asyncio.wait({getting, leaving}, timeout=left_s, return_when=asyncio.FIRST_COMPLETED)
+                if not getting.done():
+                    raise Cancelled if leaving.done() else self._busy() if self.ready else NotReady
+            finally:
+                getting.cancel()
+            worker = getting.result()
+            if worker.is_usable():
+                return worker
+            self._restart(worker, "ended")  # its process was ended from outside while it waited for a job
+
+    def _busy(self) -> Busy:
+        ahead = self._admitted / len(self.workers)
+        return Busy(min(60, max(1, math.ceil(self._typical_s * ahead / 2))))
 
     def _after(self, worker: Worker) -> None:
         """Give a worker back, started anew where it has to be."""
@@ -168,12 +179,25 @@ class Pool:
             return
         done = self._done[id(worker)] = self._done.get(id(worker), 0) + 1
         if not worker.is_usable():
-            self._on_restart("ended")
+            self._restart(worker, "ended")
         elif self._recycle_after and done >= self._recycle_after:
-            self._on_restart("recycled")
+            self._restart(worker, "recycled")
         else:
             self._idle.put_nowait(worker)
-            return
+
+    async def _replace_dead(self) -> None:
+        """Start workers anew whose process ended while they waited for a job: no job comes to a server not ready."""
+        while not self._closed:
+            await asyncio.sleep(WATCH_S)
+            for _ in range(self._idle.qsize()):
+                worker = self._idle.get_nowait()
+                if worker.is_usable():
+                    self._idle.put_nowait(worker)
+                else:
+                    self._restart(worker, "ended")
+
+    def _restart(self, worker: Worker, reason: str) -> None:
+        self._on_restart(reason)
         self._spawn(self._bring_up(worker))
 
     async def _bring_up(self, worker: Worker, *, first: bool = False) -> None:

@@ -43,7 +43,7 @@ def as_problem(error: Exception) -> RequestProblem:
         case Busy():
             return RequestProblem(429, "busy", str(error), {"Retry-After": str(error.retry_after_s)})
         case NotReady():
-            message = "the models are not loaded yet; ask /readyz"
+            message = "no worker has its models loaded; ask /readyz"
             return RequestProblem(503, "not_ready", message, {"Retry-After": "2"})
         case Refused(too_large=True):
             return RequestProblem(413, "too_large", str(error))

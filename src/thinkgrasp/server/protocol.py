@@ -10,17 +10,22 @@ from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from thinkgrasp.server.limits import Limits
 
-def bounded_protocol(header_timeout_s: float, connections: int) -> type[asyncio.Protocol]:
+
+def bounded_protocol(limits: Limits) -> type[asyncio.Protocol]:
     """Return the protocol class for uvicorn's `http` setting.
 
-    Args:
-        header_timeout_s: A connection that has not sent a request's headers within this is answered 408 and closed.
-        connections: One more is answered 429 and closed.
+    A connection that has not sent a request's headers in time is answered 408 and closed; one too many is answered
+    429 and closed; one whose client does not take its answer in time is cut.
     """
+    header_timeout_s, send_timeout_s, connections = limits.header_timeout_s, limits.send_timeout_s, limits.connections
 
     class BoundedProtocol(H11Protocol):
         _timer: asyncio.TimerHandle | None = None
+        """Runs until the headers are there."""
+        _sending: asyncio.TimerHandle | None = None
+        """Runs while the client does not take what it is sent."""
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
@@ -39,8 +44,17 @@ def bounded_protocol(header_timeout_s: float, connections: int) -> type[asyncio.
             elif self._timer is None:
                 self._start()
 
+        def pause_writing(self) -> None:
+            super().pause_writing()
+            self._sending = self.loop.call_later(send_timeout_s, self.transport.abort)
+
+        def resume_writing(self) -> None:
+            self._taken()
+            super().resume_writing()
+
         def connection_lost(self, exc: Exception | None) -> None:
             self._stop()
+            self._taken()
             super().connection_lost(exc)
 
         def send_400_response(self, msg: str) -> None:
@@ -53,6 +67,11 @@ def bounded_protocol(header_timeout_s: float, connections: int) -> type[asyncio.
             if self._timer is not None:
                 self._timer.cancel()
                 self._timer = None
+
+        def _taken(self) -> None:
+            if self._sending is not None:
+                self._sending.cancel()
+                self._sending = None
 
         def _too_slow(self) -> None:
             self._timer = None

@@ -153,7 +153,8 @@ class EpisodeAnswer(_Model):
     undone: bool = False
     """The frame shows what was said to be removed where it was, so that the last attempt counts as failed."""
     verified: bool | None = None
-    """Whether a frame confirmed that the goal is gone from its place; None where that was not asked."""
+    """Whether a frame shows that the target is gone from its place; None where none was sent, or where it cannot tell:
+    it is of another view, or has no depth there."""
     decision: DecisionModel | None = None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import sys
+import warnings
 from collections.abc import Callable
 
 import uvicorn
@@ -54,10 +55,11 @@ def serve(
     server = make_server(recipe, options, on_unloadable=give_up)
     name, bound = f"[{host}]" if ":" in host else host, listener.getsockname()[1]
     on_listening(f"http://{name}:{bound}")
-    with listener, logs.to_stream(sys.stderr):
+    with listener, logs.to_stream(sys.stderr), warnings.catch_warnings():
+        if not options.debug:
+            warnings.simplefilter("ignore")  # they name files, and are none of the log's JSON
         logs.log("started", host=host, port=bound, workers=options.workers, token=options.token is not None)
         server.run(sockets=[listener])
-        logs.log("stopped")
     if problems:
         raise ConfigError(problems[0])
 
@@ -70,7 +72,7 @@ def make_server(
     return uvicorn.Server(
         uvicorn.Config(
             make_app(recipe, options, on_unloadable=on_unloadable),  # type: ignore[arg-type]
-            http=bounded_protocol(limits.header_timeout_s, limits.connections),
+            http=bounded_protocol(limits),
             ws="none",
             lifespan="on",
             log_config=None,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncGenerator, Mapping
+import re
+from collections.abc import AsyncGenerator
 from typing import Any, TypeVar
 
 from pydantic import BaseModel
@@ -22,15 +23,20 @@ MAX_PARTS = 16
 MAX_TEXT_PART_BYTES = 200_000
 MAX_DEPTH = 40
 """Nesting of JSON."""
+MAX_VALUES = 5000
+"""Values in a JSON text, which cost a hundred times their bytes; base64 holds none of what separates them."""
+MAX_WORDS_BYTES = 100_000
+"""A body that holds no frame."""
 LINGER_BYTES = 4_000_000
 LINGER_S = 1.0
 """So much of a body that is refused is still read."""
 
+_BOUNDARY = re.compile(rb"[0-9A-Za-z'()+_,./:=? -]{1,70}")
 _M = TypeVar("_M", bound=BaseModel)
 
 
-async def read_body(request: Request, limits: Limits) -> bytes:
-    """Read a request's whole body.
+async def read_body(request: Request, limits: Limits, *, max_bytes: int | None = None) -> bytes:
+    """Read a request's whole body of at most `max_bytes`; None = what the limits say.
 
     Raises:
         RequestProblem: It is too large (413), comes too slowly (408) or compressed (415).
@@ -39,10 +45,11 @@ async def read_body(request: Request, limits: Limits) -> bytes:
     encoding = request.headers.get("content-encoding", "identity").strip().lower()
     if encoding != "identity":
         raise RequestProblem(415, "compressed_body", "the body must not be compressed (Content-Encoding)")
+    allowed = limits.body_bytes if max_bytes is None else min(max_bytes, limits.body_bytes)
     declared = request.headers.get("content-length", "")
-    if declared.isdecimal() and int(declared) > limits.body_bytes:
+    if declared.isdecimal() and int(declared) > allowed:
         await linger(request)
-        raise _too_large(limits)
+        raise _too_large(allowed)
     body = bytearray()
     try:
         async with asyncio.timeout(limits.body_timeout_s):
@@ -51,9 +58,9 @@ async def read_body(request: Request, limits: Limits) -> bytes:
                 if message["type"] == "http.disconnect":
                     raise ClientLeft
                 body += message.get("body", b"")
-                if len(body) > limits.body_bytes:
+                if len(body) > allowed:
                     await linger(request)
-                    raise _too_large(limits)
+                    raise _too_large(allowed)
                 if not message.get("more_body", False):
                     return bytes(body)
     except TimeoutError:
@@ -80,14 +87,14 @@ async def read_model(request: Request, model: type[_M], limits: Limits) -> _M:
 
 
 async def read_json(request: Request, model: type[_M], limits: Limits) -> _M:
-    """Read a JSON body into a model; raises as `read_model`."""
+    """Read a JSON body that holds no frame into a model; raises as `read_model`."""
     if _kind(request) != "application/json":
         await linger(request)
         raise _unsupported("application/json")
-    return model.model_validate(read_json_object(await read_body(request, limits)))
+    return model.model_validate(read_json_object(await read_body(request, limits, max_bytes=MAX_WORDS_BYTES)))
 
 
-def read_json_object(text: bytes | str, what: str = "the body") -> dict[str, Any]:
+def read_json_object(text: bytes, what: str = "the body") -> dict[str, Any]:
     """Parse a JSON object; numbers that JSON does not know are refused.
 
     Raises:
@@ -99,8 +106,8 @@ def read_json_object(text: bytes | str, what: str = "the body") -> dict[str, Any
     return value
 
 
-async def read_parts(request: Request, limits: Limits) -> Mapping[str, str | bytes]:
-    """Return the parts of a multipart body by name: files as bytes, fields as text; raises as `read_model`."""
+async def read_parts(request: Request, limits: Limits) -> dict[str, bytes]:
+    """Return the parts of a multipart body by name; raises as `read_model`."""
     return await _raw_parts(request, await read_body(request, limits))
 
 
@@ -109,7 +116,7 @@ async def _parts(request: Request, body: bytes) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name, part in (await _raw_parts(request, body)).items():
         if name in FILES:
-            values[name] = part if isinstance(part, bytes) else part.encode("utf-8", "surrogateescape")
+            values[name] = part
         elif name in JSON_PARTS:
             values[name] = _read_json(part, f"the part {name!r}")
         else:
@@ -117,14 +124,14 @@ async def _parts(request: Request, body: bytes) -> dict[str, Any]:
     return values
 
 
-def as_text(part: str | bytes, name: str) -> str:
+def as_text(part: bytes, name: str) -> str:
     """Return a part's text.
 
     Raises:
         RequestProblem: 400; it is no UTF-8.
     """
     try:
-        return part.decode("utf-8") if isinstance(part, bytes) else part
+        return part.decode("utf-8")
     except UnicodeDecodeError:
         raise RequestProblem(400, "bad_text", f"the part {name!r} is no UTF-8 text") from None
 
@@ -135,24 +142,26 @@ class _InMemory(MultiPartParser):
     spool_max_size = 2**40
 
 
-async def _raw_parts(request: Request, body: bytes) -> dict[str, str | bytes]:
+async def _raw_parts(request: Request, body: bytes) -> dict[str, bytes]:
     async def stream() -> AsyncGenerator[bytes, None]:
         yield body
 
-    headers = Headers({"Content-Type": request.headers.get("content-type", "")})
+    boundary = parse_options_header(request.headers.get("content-type", ""))[1].get(b"boundary", b"")
+    if not _BOUNDARY.fullmatch(boundary):
+        raise RequestProblem(400, "bad_multipart", "the content type names no boundary that multipart may have")
+    # Latin-1 takes every byte, so that what the parser makes a text of is had back as it came.
+    headers = Headers({"Content-Type": f'multipart/form-data; boundary="{boundary.decode("ascii")}"; charset=latin-1'})
     parser = _InMemory(headers, stream(), max_files=MAX_PARTS, max_fields=MAX_PARTS, max_part_size=MAX_TEXT_PART_BYTES)
     try:
         form = await parser.parse()
     except MultiPartException as error:
         raise RequestProblem(400, "bad_multipart", f"the multipart body cannot be read: {error.message}") from None
-    except (UnicodeError, ValueError, LookupError):
-        raise RequestProblem(400, "bad_multipart", "the multipart body cannot be read") from None
-    parts: dict[str, str | bytes] = {}
+    parts: dict[str, bytes] = {}
     try:
         for name, value in form.multi_items():
             if name in parts:
                 raise RequestProblem(400, "bad_multipart", "a part occurs twice")
-            parts[name] = await value.read() if isinstance(value, UploadFile) else value
+            parts[name] = await value.read() if isinstance(value, UploadFile) else value.encode("latin-1")
     finally:
         await form.close()
     if not parts:
@@ -160,7 +169,9 @@ async def _raw_parts(request: Request, body: bytes) -> dict[str, str | bytes]:
     return parts
 
 
-def _read_json(text: bytes | str, what: str) -> object:
+def _read_json(text: bytes, what: str) -> object:
+    if sum(map(text.count, (b",", b"[", b"{"))) > MAX_VALUES:
+        raise RequestProblem(400, "bad_json", f"{what} holds more than {MAX_VALUES} values")
     try:
         value: object = json.loads(text, parse_constant=_refuse_constant)
         if _is_deep(value, MAX_DEPTH):
@@ -205,6 +216,6 @@ def _unsupported(allowed: str) -> RequestProblem:
     return RequestProblem(415, "unsupported_media_type", f"the body must be {allowed}")
 
 
-def _too_large(limits: Limits) -> RequestProblem:
-    said = f"the body is larger than the {limits.body_mb:g} MB allowed"
+def _too_large(allowed: int) -> RequestProblem:
+    said = f"the body is larger than the {allowed / 1e6:g} MB allowed"
     return RequestProblem(413, "too_large", said, {"Connection": "close"})

@@ -8,18 +8,20 @@ started anew; nothing else can end a numpy or network call.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import sys
 import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TextIO
 
 from thinkgrasp.config import PipelineConfig, make_pipeline, override
 from thinkgrasp.errors import ConfigError, InputError, ThinkGraspError
@@ -29,6 +31,7 @@ from thinkgrasp.registry import load
 from thinkgrasp.server.decoding import TooLarge, without_paths
 from thinkgrasp.server.jobs import Answer, Desk, Job
 from thinkgrasp.server.limits import Limits
+from thinkgrasp.server.logs import to_stream, where_raised
 
 POLL_S = 0.02
 MakePipeline = Callable[[], Pipeline]
@@ -186,13 +189,6 @@ def _failure(error: Exception) -> _Failure:
     return _Failure(WorkerFailed, where_raised(error))
 
 
-def where_raised(error: BaseException) -> str:
-    """Return an exception's type and the file and line that raised it, without folders and without its message."""
-    frames = traceback.extract_tb(error.__traceback__)
-    place = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
-    return f"{type(error).__name__}{place}"
-
-
 class ProcessWorker:
     """A worker in a process of its own."""
 
@@ -211,12 +207,13 @@ class ProcessWorker:
         """
         self.close()
         context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._process = process = context.Process(target=_serve, args=(theirs, self._recipe), daemon=True)
+        pipe, theirs = context.Pipe()
+        process = context.Process(target=_run, args=(theirs, self._recipe), daemon=True)
         process.start()
         theirs.close()
+        self._pipe, self._process = pipe, process
         try:
-            said = self._pipe.recv()
+            said = pipe.recv()
         except (EOFError, OSError):
             raise ConfigError("a worker's process ended while it was loading the models") from None
         if isinstance(said, _Unloadable):
@@ -251,34 +248,59 @@ class ProcessWorker:
             self.close()
             raise
         except (EOFError, OSError) as error:
+            process = self._process
+            if process is not None:
+                process.join(1)
+            code = None if process is None else process.exitcode
             self.close()
-            raise WorkerFailed("the worker's process ended") from error
+            raise WorkerFailed(f"the worker's process ended with code {code}") from error
 
     def is_usable(self) -> bool:
         """Whether its process runs and waits for a job."""
-        return self._usable and self._process is not None and self._process.is_alive()
+        process = self._process  # another thread may close the worker meanwhile
+        return self._usable and process is not None and process.is_alive()
 
     def memory_bytes(self) -> int:
         """Resident memory of its process, by Linux's /proc; 0 elsewhere."""
-        return resident_bytes(self._process.pid) if self._process is not None and self._process.pid else 0
+        process = self._process  # as above
+        return resident_bytes(process.pid) if process is not None and process.pid else 0
 
     def close(self) -> None:
         """Kill the process."""
         self._usable = False
-        if self._pipe is not None:
-            self._pipe.close()
-            self._pipe = None
-        if self._process is not None:
-            self._process.kill()
-            self._process.join(5)
-            self._process = None
+        pipe, self._pipe = self._pipe, None
+        process, self._process = self._process, None
+        if pipe is not None:
+            pipe.close()
+        if process is not None:
+            process.kill()
+            process.join(5)
+
+
+def _run(pipe: Connection, recipe: Recipe) -> None:
+    """What a worker's process does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the server ends its workers itself
+    if recipe.debug:
+        _serve(pipe, recipe)
+        return
+    warnings.simplefilter("ignore")
+    with _log_alone() as out, to_stream(out):
+        _serve(pipe, recipe)
+
+
+@contextmanager
+def _log_alone() -> Iterator[TextIO]:
+    """Keep stderr for the log: what libraries print may name paths, and is no JSON."""
+    with os.fdopen(os.dup(2), "w", buffering=1) as out:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in (1, 2):
+            os.dup2(nowhere, stream)
+        os.close(nowhere)
+        yield out
 
 
 def _serve(pipe: Connection, recipe: Recipe) -> None:
-    """What a worker's process does."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the server ends its workers itself
-    if not recipe.debug:
-        warnings.simplefilter("ignore")  # they name files and lines, and are none of the log's JSON
+    """Load the models, then carry out jobs until the server has gone."""
 
     def announce(stage: str) -> None:
         if pipe.poll(0) and pipe.recv() is None:
@@ -288,8 +310,10 @@ def _serve(pipe: Connection, recipe: Recipe) -> None:
     try:
         try:
             desk = recipe.desk(announce)
-        except ThinkGraspError as error:
-            pipe.send(_Unloadable(str(error)))
+        except Exception as error:  # a plug-in may fail in any way while it is made
+            if recipe.debug:
+                traceback.print_exc(file=sys.stderr)
+            pipe.send(_Unloadable(str(error) if isinstance(error, ThinkGraspError) else where_raised(error)))
             return
         pipe.send(_Ready())
         while True:

@@ -97,6 +97,7 @@ async function ask(event) {
     if (!answer.ok) throw new Error(data.error?.message ?? `The server answered ${answer.status}.`);
     show(data);
   } catch (error) {
+    $("result").hidden = true;  // it answers another question
     complain(error instanceof TypeError ? "The server does not answer." : error.message);
   } finally {
     busy(false);
