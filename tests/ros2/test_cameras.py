@@ -34,7 +34,7 @@ def camera(clock: FakeClock, transforms: FakeTransforms | None = None, **changes
 def test_a_frame_is_what_the_messages_say():
     clock, transforms = FakeClock(), FakeTransforms({"camera_optical": POSE})
     cam = camera(clock, transforms)
-    cam.feed(*messages(clock.ns, depth_ns=clock.ns + 20 * MS))
+    cam.feed(*messages(clock.ns + 20 * MS, depth_ns=clock.ns))
     frame = cam.read()
     assert np.array_equal(frame.color, FRAME.color)
     assert np.allclose(frame.depth, FRAME.depth, atol=6e-4)
@@ -54,6 +54,14 @@ def test_images_from_before_the_question_are_not_taken():
     later.start()
     cam.read()
     later.join()
+
+
+def test_depth_from_before_the_question_is_not_taken_with_a_colour_image_from_after_it():
+    clock = FakeClock()
+    cam = camera(clock)
+    cam.feed(*messages(clock.ns + 10 * MS, depth_ns=clock.ns - 20 * MS))
+    with pytest.raises(InputError, match="no new images"):
+        cam.read()
 
 
 def test_a_frozen_camera_and_a_silent_one_are_named():

@@ -24,6 +24,7 @@ class _Set:
     depth: Message
     info: Message
     stamp_ns: int
+    """When the older of the two images was taken."""
 
 
 class TopicCamera:
@@ -90,7 +91,7 @@ class TopicCamera:
                 f"camera {name!r}: colour, depth and camera_info are in different frames, {', '.join(sorted(frames))}; "
                 "depth must be aligned to colour (realsense2_camera: align_depth.enable)"
             )
-        return _Set(color, depth, info, times[0])
+        return _Set(color, depth, info, min(times[:2]))
 
     def _wait(self, since_ns: int) -> _Set:
         deadline = time.monotonic() + self._parameters.image_timeout_s
