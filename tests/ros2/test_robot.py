@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from fakes.ros import FakeGripper, FakeMessages, FakeMotions, parameters
 from fakes.stages import table_frame
 from fakes.table_loop import POSE
-from thinkgrasp_ros.interface import RobotFault
+from thinkgrasp_ros.interface import GripperState, RobotFault
 from thinkgrasp_ros.robot import MoveItRobot
 
 from thinkgrasp.errors import ConfigError, InputError
@@ -77,11 +77,14 @@ def test_what_other_cameras_saw_is_an_obstacle_too():
     [
         ([-1, -1], [0.03], "unreachable", ["RRTstar", "RRTstar"]),
         ([99999, -31], [0.03], "unreachable", ["RRTstar", "RRTstar"]),
-        ([1, -1], [0.03], "unreachable", ["RRTstar", "LIN", "RRTstar"]),
-        ([1, -3], [0.03], "collision", ["RRTstar", "LIN", "RRTstar"]),
+        ([-3], [0.03], "collision", ["RRTstar", "RRTstar"]),
+        ([-1, -3], [0.03], "collision", ["RRTstar", "RRTstar", "RRTstar"]),
+        ([1, -1], [0.03], "unreachable", ["RRTstar", "LIN", "LIN", "RRTstar"]),
+        ([1, -3], [0.03], "collision", ["RRTstar", "LIN", "LIN", "RRTstar"]),
         ([], [0.0], "missed", ["RRTstar", "LIN", "LIN", "RRTstar"]),
         ([], [0.001], "missed", ["RRTstar", "LIN", "LIN", "RRTstar"]),
-        ([1, 1, -1], [0.03], "unreachable", ["RRTstar", "LIN", "LIN", "LIN", "RRTstar"]),
+        ([1, 1, -1], [0.03], "unreachable", ["RRTstar", "LIN", "LIN", "LIN", "LIN", "RRTstar"]),
+        ([1, 1, -3], [0.03], "collision", ["RRTstar", "LIN", "LIN", "LIN", "LIN", "RRTstar"]),
         ([], [0.03, 0.0], "slipped", ["RRTstar", "LIN", "LIN", "RRTstar"]),
         ([1, 1, 1, -1], [0.03], "unreachable", ["RRTstar", "LIN", "LIN", "RRTstar", "LIN", "LIN", "RRTstar"]),
         ([], [0.03, 0.03, 0.0], "slipped", ["RRTstar", "LIN", "LIN", "RRTstar", "RRTstar"]),
@@ -91,9 +94,9 @@ def test_every_way_to_fail_ends_at_home_with_an_open_gripper(script, widths, rea
     outcome, motions, gripper = run(script, widths)
     assert outcome == Outcome(False, reason)
     assert [place(goal)[0] for goal in motions.goals] == planners
-    if len(planners) > 2:
+    if len(planners) > 2 or reason == "collision":
         assert joints(motions.goals[-1]) == 0.0, "home"
-    if reason in ("missed",) or script[:3] == [1, 1, -1] or script == [1, 1, 1, -1]:
+    if reason == "missed" or script[:2] == [1, 1]:
         assert gripper.goals[-1].command.position == 0.0
 
 
@@ -102,6 +105,57 @@ def test_what_cannot_be_carried_is_put_back_where_it_was():
     down = motions.goals[4]
     assert np.allclose(place(down)[1], WORLD)
     assert gripper.goals[-1].command.position == 0.0
+
+
+def test_a_way_in_that_was_stopped_is_left_the_way_it_came():
+    _, motions, _ = run([1, -3])
+    assert np.allclose(place(motions.goals[2])[1], WORLD + 0.10 * UP)
+
+
+def test_a_lift_that_was_stopped_puts_down_before_it_lets_go():
+    outcome, motions, gripper = run([1, 1, -3])
+    assert outcome.reason == "collision"
+    assert np.allclose(place(motions.goals[3])[1], WORLD)
+    assert [goal.command.position for goal in gripper.goals][-2:] == [0.8, 0.0], "closed on the way down, then open"
+
+
+def test_what_was_stopped_on_its_way_to_the_place_goes_back_above_where_it_was_first():
+    outcome, motions, _ = run([1, 1, 1, -3])
+    assert outcome == Outcome(False, "collision")
+    ways = [place(goal) for goal in motions.goals[4:]]
+    assert [planner for planner, _ in ways] == ["RRTstar", "LIN", "LIN", "RRTstar"]
+    assert np.allclose(ways[0][1], WORLD + 0.15 * UP)
+    assert np.allclose(ways[1][1], WORLD)
+    assert len(motions.goals[4].planning_options.planning_scene_diff.world.collision_objects) == 1
+
+
+@dataclass
+class StuckGripper(FakeGripper):
+    """Stops at a position whatever it is asked for."""
+
+    at: float = 0.8
+
+    def command(self, goal, cancelled):
+        self.goals.append(goal)
+        return GripperState(self.at, True, False)
+
+
+@pytest.mark.parametrize(
+    ("at", "said"), [(0.8, "open by 60 mm and says 0 mm"), (0.3, "says 53 mm"), (np.nan, "reports the position nan")]
+)
+def test_a_gripper_that_does_not_open_goes_nowhere(at, said):
+    told = parameters()
+    motions = FakeMotions()
+    robot = MoveItRobot(told, FakeMessages(), motions, StuckGripper(told, at=at))
+    with pytest.raises(RobotFault, match=said):
+        robot.execute(GRASP, FRAME)
+    assert not motions.goals
+
+
+def test_a_gripper_that_opens_a_little_less_is_open():
+    told = parameters()
+    robot = MoveItRobot(told, FakeMessages(), FakeMotions(), StuckGripper(told, at=told.gripper_position(0.057)))
+    assert robot.execute(GRASP, FRAME).success
 
 
 def test_the_grasp_turned_by_half_a_turn_is_tried_where_the_first_is_out_of_reach():
@@ -131,9 +185,10 @@ def test_a_cancel_while_the_gripper_closes():
     assert len(motions.goals) == 2
 
 
-def test_preemption_by_someone_else_is_named_and_nothing_is_moved_on():
-    outcome, motions, _ = run([1, 1, -7])
-    assert (outcome, len(motions.goals)) == (Outcome(False, "preempted"), 3)
+def test_preemption_by_someone_else_ends_everything():
+    """The loop would go on with the next grasp, from wherever the other one left the arm."""
+    with pytest.raises(RobotFault, match="another client of MoveIt took the arm over"):
+        run([1, 1, -7])
 
 
 @pytest.mark.parametrize("code", [-4, -10, -25, -30])
@@ -147,12 +202,17 @@ def test_a_parameter_that_does_not_fit_is_named():
         run([-15])
 
 
-@pytest.mark.parametrize(("script", "what"), [([1, -1, -1], "go home"), ([1, 1, -1, -1], "back off")])
+@pytest.mark.parametrize(
+    ("script", "what"),
+    [([1, -1, -1], "back off"), ([1, -1, 1, -1], "go home"), ([-3, -1], "go home"), ([1, 1, -1, 1, -1], "back off")],
+)
 def test_an_arm_that_cannot_get_out_of_the_way_is_a_fault(script, what):
     with pytest.raises(RobotFault, match=f"could not {what} .*stands where it stopped"):
         run(script)
     with pytest.raises(RobotFault, match="could not put down what it holds"):
         run([1, 1, 1, -1, -1])
+    with pytest.raises(RobotFault, match="could not carry back what it holds"):
+        run([1, 1, 1, -3, -1])
 
 
 def test_bad_input():

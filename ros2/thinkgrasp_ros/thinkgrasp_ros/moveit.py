@@ -27,9 +27,10 @@ OUTCOMES = {
     -3: "collision",  # MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
     -7: "preempted",  # PREEMPTED
 }
-"""What an attempt can expect; the loop goes on with another grasp, except after "preempted"."""
+"""What an attempt can expect; the loop goes on with another grasp, but for "preempted", see `MoveItRobot`."""
 
 MISTAKES = {
+    0: ("UNDEFINED", "pipeline or straight_pipeline"),  # left so where move_group knows no such pipeline
     -15: ("INVALID_GROUP_NAME", "group"),
     -16: ("INVALID_GOAL_CONSTRAINTS", "tcp_link, planner or straight_planner"),
     -17: ("INVALID_ROBOT_STATE", "joint_names"),

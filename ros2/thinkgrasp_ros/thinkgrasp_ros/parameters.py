@@ -171,6 +171,10 @@ class Parameters:
         share = 1 - min(max(width_m / self.stroke_m, 0.0), 1.0)
         return self.gripper_open + share * (self.gripper_closed - self.gripper_open)
 
+    def opening_m(self, position: float) -> float:
+        """Return the opening [m] at a controller's position: what `gripper_position` is of."""
+        return self.stroke_m * (self.gripper_closed - position) / (self.gripper_closed - self.gripper_open)
+
     def is_closed(self, position: float) -> bool:
         """Whether a gripper that stopped at this position has nothing between its fingers."""
         return (position - self.gripper_open) / (self.gripper_closed - self.gripper_open) >= 1 - self.held_margin

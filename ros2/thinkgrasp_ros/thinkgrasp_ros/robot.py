@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -24,13 +25,16 @@ from thinkgrasp_ros.parameters import Parameters
 
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Two fingers are the same turned about the approach."""
+_SHORT_M = 0.004
+"""By so much less than asked for a gripper may open: half of the room that grasps leave beside a thing."""
 
 
 class MoveItRobot:
     """Carries a grasp out: open, to the pre-grasp, straight in, close, straight up, over the place, open, home.
 
     What is held is asked for after the lift and before it is let go: closing once more, the gripper must stall before
-    it is closed. An attempt that fails puts back what it holds, where that was, and goes home.
+    it is closed. An attempt that fails puts back what it holds, where that was, and goes home; from among the things it
+    leaves the way it came.
 
     Args:
         parameters: Of the node.
@@ -84,18 +88,25 @@ class MoveItRobot:
             return Outcome(False, end.reason)
 
     def _attempt(self, T_world_tcp: Transform, width_m: float, cloud: NDArray[np.floating]) -> Outcome:
-        self._command(width_m)
+        self._open(width_m)
         obstacles = obstacle_cubes(cloud, self._parameters, [T_world_tcp[:3, 3]])
         T = self._to_pregrasp(T_world_tcp, obstacles)
-        self._move(self._pose(T, straight=True), or_else=self._home)
+        raised = _raised(T, self._parameters.lift_m)
+        self._move(self._pose(T, straight=True), or_else=lambda _: self._back_off(T))
         if self._is_empty(self._command(0.0)):
             self._leave(T)
             return Outcome(False, "missed")
-        self._move(self._pose(_raised(T, self._parameters.lift_m), straight=True), or_else=lambda: self._leave(T))
+        self._move(self._pose(raised, straight=True), or_else=lambda _: self._put_back(T))
         if self._is_empty(self._command(0.0)):
             self._home()
             return Outcome(False, "slipped")
-        self._move(self._joints(self._parameters.place_joints, obstacles), or_else=lambda: self._put_back(T))
+
+        def put_back(reason: str) -> None:
+            if reason == "collision":  # stopped on its way: the straight way down begins above where the thing was
+                self._surely(self._pose(raised, obstacles=obstacles), "carry back what it holds")
+            self._put_back(T)
+
+        self._move(self._joints(self._parameters.place_joints, obstacles), or_else=put_back)
         held = not self._is_empty(self._command(0.0))
         self._command(self._parameters.stroke_m)
         self._home()
@@ -107,6 +118,8 @@ class MoveItRobot:
             reason = self._reason(self._pose(_backed(T, self._parameters.standoff_m), obstacles=obstacles))
             if reason is None:
                 return T
+            if reason == "collision":
+                self._home()
             if reason != "unreachable":
                 raise _Ended(reason)
         raise _Ended("unreachable")
@@ -119,6 +132,10 @@ class MoveItRobot:
     def _leave(self, T: Transform) -> None:
         """Open, back off and go home."""
         self._command(self._parameters.stroke_m)
+        self._back_off(T)
+
+    def _back_off(self, T: Transform) -> None:
+        """Out from among the things, straight, and home."""
         self._surely(self._pose(_backed(T, self._parameters.standoff_m), straight=True), "back off")
         self._home()
 
@@ -130,7 +147,12 @@ class MoveItRobot:
         if self.cancelled():
             return "preempted"
         code = self._motions.move(goal, self.cancelled)
-        return "preempted" if code != SUCCESS and self.cancelled() else outcome_of(code)
+        if code != SUCCESS and self.cancelled():
+            return "preempted"
+        reason = outcome_of(code)
+        if reason == "preempted":
+            raise RobotFault("another client of MoveIt took the arm over in mid-motion; it stands where that left it")
+        return reason
 
     def _surely(self, goal: Message, what: str) -> None:
         """Move; where that fails, somebody has to look, for the arm stands in the way."""
@@ -140,14 +162,22 @@ class MoveItRobot:
         if reason is not None:
             raise RobotFault(f"the robot could not {what} ({reason}); it stands where it stopped")
 
-    def _move(self, goal: Message, *, or_else: Callable[[], None]) -> None:
-        """Move; where that fails and nobody cancelled, do something else before the attempt ends."""
+    def _move(self, goal: Message, *, or_else: Callable[[str], None]) -> None:
+        """Move; where that fails and nobody cancelled, do something else, told why, before the attempt ends."""
         reason = self._reason(goal)
         if reason is None:
             return
         if reason != "preempted":
-            or_else()
+            or_else(reason)
         raise _Ended(reason)
+
+    def _open(self, width_m: float) -> None:
+        """Open to a width; fingers that stand closer than the collision check took them for must not go down."""
+        state = self._command(width_m)
+        wanted = min(width_m, self._parameters.stroke_m)
+        stands = self._parameters.opening_m(state.position)
+        if stands < wanted - _SHORT_M:
+            raise RobotFault(f"the gripper should be open by {wanted * 1e3:.0f} mm and says {stands * 1e3:.0f} mm")
 
     def _command(self, width_m: float) -> GripperState:
         if self.cancelled():
@@ -156,6 +186,8 @@ class MoveItRobot:
         state = self._gripper.command(goal, self.cancelled)
         if self.cancelled():
             raise _Ended("preempted")
+        if not math.isfinite(state.position):
+            raise RobotFault(f"the gripper's controller reports the position {state.position}")
         return state
 
     def _is_empty(self, state: GripperState) -> bool:
