@@ -13,6 +13,8 @@ from thinkgrasp_ros.interface import Message, Messages, RobotFault, Transform
 from thinkgrasp_ros.parameters import Parameters
 
 SUCCESS = 1
+TIMED_OUT = -6
+CONTROL_FAILED = -4
 
 OUTCOMES = {
     -1: "unreachable",  # PLANNING_FAILED
