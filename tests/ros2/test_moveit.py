@@ -90,7 +90,7 @@ def test_the_perceived_cloud_becomes_cubes():
     goal = pose_goal(MESSAGES, told, T, obstacles=cubes)
     (thing,) = goal.planning_options.planning_scene_diff.world.collision_objects
     assert len(thing.primitives) == len(thing.primitive_poses) == len(cubes)
-    assert thing.operation == 0
+    assert thing.operation == b"\0"
     assert len(goal.bytes()) > 1000
 
 

@@ -55,10 +55,27 @@ class ScriptedServer:
         self.cancels, self.goals, self.asked = 0, [], Future()
 
 
+class SceneServer:
+    """A service as its client sees it."""
+
+    there, answer = True, SimpleNamespace(success=True)
+
+    def __init__(self) -> None:
+        self.requests: list = []
+
+    def call(self, request) -> Future:
+        self.requests.append(request)
+        future = Future()
+        if self.answer is not None:
+            future.set_result(self.answer)
+        return future
+
+
 class Node:
     def __init__(self, name: str) -> None:
         self.name, self.parameters, self.services = name, {}, {}
         self.logged: list[str] = []
+        self.scene_server = SceneServer()
 
     def declare_parameter(self, name, value, descriptor):
         assert descriptor.dynamic_typing
@@ -73,6 +90,11 @@ class Node:
 
     def destroy_node(self):
         self.logged.append("destroyed")
+
+    def create_client(self, kind, name, *, callback_group):
+        return SimpleNamespace(
+            wait_for_service=lambda *, timeout_sec: self.scene_server.there, call_async=self.scene_server.call
+        )
 
     def create_service(self, kind, name, callback, *, callback_group):
         self.services[name] = callback
@@ -160,6 +182,7 @@ def ros(monkeypatch):
         "message_filters": {"ApproximateTimeSynchronizer": Synchroniser, "Subscriber": Subscriber},
         "control_msgs.action": {"GripperCommand": action("GripperCommand", "control_msgs")},
         "moveit_msgs.action": {"MoveGroup": action("MoveGroup", "moveit_msgs")},
+        "moveit_msgs.srv": {"ApplyPlanningScene": SimpleNamespace(Request=SimpleNamespace)},
         "moveit_msgs.msg": {"Constraints": maker("moveit_msgs/msg/Constraints")},
         "sensor_msgs.msg": {"CameraInfo": "CameraInfo", "Image": "Image"},
         "thinkgrasp_interfaces.action": {"ClearAndGrasp": action("ClearAndGrasp")},
@@ -274,6 +297,21 @@ def test_a_motion_that_does_not_stop_is_a_fault(ros):
     ros.server.stops = False
     with pytest.raises(RobotFault, match="does not stop although it was cancelled"):
         motions(ros).move("goal", lambda: True)
+
+
+def test_the_planning_scene(ros):
+    node = Node("n")
+    scene = ros.module.RosScene(node, parameters())
+    assert scene.apply("difference") is True
+    assert node.scene_server.requests[0].scene == "difference"
+    node.scene_server.answer = SimpleNamespace(success=False)
+    assert scene.apply("difference") is False
+    node.scene_server.answer = None
+    with pytest.raises(RobotFault, match=r"/apply_planning_scene \(MoveIt\) did not answer"):
+        scene.apply("difference")
+    node.scene_server.there = False
+    with pytest.raises(RobotFault, match="no service /apply_planning_scene"):
+        scene.apply("difference")
 
 
 @pytest.mark.parametrize(

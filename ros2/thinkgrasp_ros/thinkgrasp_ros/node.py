@@ -18,6 +18,7 @@ import rclpy.logging
 from control_msgs.action import GripperCommand
 from message_filters import ApproximateTimeSynchronizer, Subscriber
 from moveit_msgs.action import MoveGroup
+from moveit_msgs.srv import ApplyPlanningScene
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
@@ -152,6 +153,25 @@ class RosMotions(_Client):
         return CONTROL_FAILED if code == TIMED_OUT and planned else code
 
 
+class RosScene:
+    """MoveIt's planning scene."""
+
+    def __init__(self, node: Node, parameters: Parameters) -> None:
+        self._name = parameters.scene_service
+        self._client = node.create_client(ApplyPlanningScene, self._name, callback_group=ReentrantCallbackGroup())
+
+    def apply(self, scene: Message) -> bool:
+        """Apply a difference, as `SceneClient.apply`."""
+        if not self._client.wait_for_service(timeout_sec=_CONNECT_S):
+            raise RobotFault(f"no service {self._name} (MoveIt); is it started, and the name right?")
+        request = ApplyPlanningScene.Request()
+        request.scene = scene
+        answer = _wait(self._client.call_async(request), _CONNECT_S, lambda: False)
+        if answer is None:
+            raise RobotFault(f"{self._name} (MoveIt) did not answer in {_CONNECT_S:g} s")
+        return bool(answer.success)
+
+
 class RosGripper(_Client):
     """The gripper's action."""
 
@@ -177,13 +197,14 @@ class ThinkGraspNode(Node):
         messages, clock = RosMessages(), RosClock(self)
         transforms = RosTransforms(self, self._parameters.tf_timeout_s)
         motions, gripper = RosMotions(self, self._parameters), RosGripper(self, self._parameters)
+        scene = RosScene(self, self._parameters)
         cameras = [TopicCamera(c, self._parameters, transforms, clock) for c in self._parameters.camera_parameters]
         self._synchronisers = [self._subscribe(camera) for camera in cameras]
         self._server = GraspServer(
             self._parameters,
             messages,
             cameras,
-            lambda cancelled: MoveItRobot(self._parameters, messages, motions, gripper, cancelled),
+            lambda cancelled: MoveItRobot(self._parameters, messages, motions, scene, gripper, cancelled),
         )
         self._stopping = threading.Event()
         group = ReentrantCallbackGroup()
@@ -197,6 +218,8 @@ class ThinkGraspNode(Node):
             cancel_callback=lambda handle: CancelResponse.ACCEPT,
             callback_group=group,
         )
+        if not self._parameters.touch_links:
+            self.get_logger().warning("the parameter touch_links is empty: MoveIt is not told what is held")
         self.get_logger().info(
             f"ready: preset {self._parameters.preset}, cameras {', '.join(self._parameters.cameras)}"
         )

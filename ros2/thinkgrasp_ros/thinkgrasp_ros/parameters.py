@@ -15,7 +15,7 @@ from thinkgrasp_ros.interface import Transform
 
 Lookup = Callable[[str, Any], Any]
 """Declares a parameter with its default and returns its value."""
-_NAMES = ("cameras", "settings", "joint_names")
+_NAMES = ("cameras", "settings", "joint_names", "touch_links")
 """Lists of text; all others hold numbers."""
 
 
@@ -70,10 +70,13 @@ class Parameters:
     tf_timeout_s: float = 0.5
 
     move_group_action: str = "/move_action"
+    scene_service: str = "/apply_planning_scene"
     group: str = "manipulator"
     tcp_link: str = "tool0"
     tcp_offset: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     """Pose of the TCP (between the fingertips, z approach, x closing) in `tcp_link`: x y z, quaternion x y z w."""
+    touch_links: Sequence[str] = ()
+    """Of the gripper, which what is held touches; empty = MoveIt is not told what is held."""
     planner: str = "RRTstar"
     pipeline: str = "ompl"
     straight_planner: str = "LIN"
@@ -125,7 +128,15 @@ class Parameters:
         for name in ("step_limit", "planning_attempts", "max_obstacles"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"parameter {name} must be at least 1, got {getattr(self, name)}")
-        for name in ("world_frame", "group", "tcp_link", "planner", "move_group_action", "gripper_action"):
+        for name in (
+            "world_frame",
+            "group",
+            "tcp_link",
+            "planner",
+            "move_group_action",
+            "scene_service",
+            "gripper_action",
+        ):
             if not getattr(self, name):
                 raise ConfigError(f"parameter {name} must not be empty")
         if not self.cameras or len(set(self.cameras)) != len(self.cameras):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from thinkgrasp.errors import ConfigError, InputError
 from thinkgrasp.geometry import apply, deproject, make_transform
 from thinkgrasp.types import Frame, Grasp, Outcome, Scene
+from thinkgrasp_ros.held import HeldBox, held_box
 from thinkgrasp_ros.interface import (
     GripperClient,
     GripperState,
@@ -18,9 +20,19 @@ from thinkgrasp_ros.interface import (
     Messages,
     MotionClient,
     RobotFault,
+    SceneClient,
     Transform,
 )
-from thinkgrasp_ros.moveit import SUCCESS, gripper_goal, joint_goal, obstacle_cubes, outcome_of, pose_goal
+from thinkgrasp_ros.moveit import (
+    SUCCESS,
+    gripper_goal,
+    joint_goal,
+    obstacle_cubes,
+    outcome_of,
+    pose_goal,
+    scene_empty_handed,
+    scene_holding,
+)
 from thinkgrasp_ros.parameters import Parameters
 
 _HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -34,12 +46,13 @@ class MoveItRobot:
 
     What is held is asked for after the lift and before it is let go: closing once more, the gripper must stall before
     it is closed. An attempt that fails puts back what it holds, where that was, and goes home; from among the things it
-    leaves the way it came.
+    leaves the way it came. On its way to the place MoveIt knows what is held, as a box on the gripper.
 
     Args:
         parameters: Of the node.
         messages: Makes messages.
         motions: MoveIt.
+        scene: Its planning scene.
         gripper: The gripper's action.
         cancelled: Asked all the while; when it turns True the motion is cancelled and nothing else is moved.
 
@@ -52,6 +65,7 @@ class MoveItRobot:
         parameters: Parameters,
         messages: Messages,
         motions: MotionClient,
+        scene: SceneClient,
         gripper: GripperClient,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
@@ -64,7 +78,19 @@ class MoveItRobot:
         self._parameters = parameters
         self._messages = messages
         self._motions = motions
+        self._scene = scene
         self._gripper = gripper
+        self._hangs: bool | None = None
+        """Whether MoveIt has something hanging on the gripper; None = not known, from before."""
+
+    def go_home(self) -> None:
+        """Go home, as the cameras must see the table; not at all where it was cancelled.
+
+        Raises:
+            ConfigError, RobotFault: As `execute`.
+        """
+        with suppress(_Ended):
+            self._home()
 
     def execute(self, grasp: Grasp, frame: Frame) -> Outcome:
         """Carry out a grasp given in the frame's camera coordinates.
@@ -89,6 +115,7 @@ class MoveItRobot:
 
     def _attempt(self, T_world_tcp: Transform, width_m: float, cloud: NDArray[np.floating]) -> Outcome:
         self._open(width_m)
+        self._let_go()
         obstacles = obstacle_cubes(cloud, self._parameters, [T_world_tcp[:3, 3]])
         T = self._to_pregrasp(T_world_tcp, obstacles)
         raised = _raised(T, self._parameters.lift_m)
@@ -100,15 +127,18 @@ class MoveItRobot:
         if self._is_empty(self._command(0.0)):
             self._home()
             return Outcome(False, "slipped")
+        obstacles = self._hang(held_box(cloud, T, width_m, self._parameters.clear_m), raised, obstacles)
 
         def put_back(reason: str) -> None:
             if reason == "collision":  # stopped on its way: the straight way down begins above where the thing was
                 self._surely(self._pose(raised, obstacles=obstacles), "carry back what it holds")
+            self._let_go()
             self._put_back(T)
 
         self._move(self._joints(self._parameters.place_joints, obstacles), or_else=put_back)
         held = not self._is_empty(self._command(0.0))
         self._command(self._parameters.stroke_m)
+        self._let_go()
         self._home()
         return Outcome(held, "held" if held else "slipped")
 
@@ -123,6 +153,27 @@ class MoveItRobot:
             if reason != "unreachable":
                 raise _Ended(reason)
         raise _Ended("unreachable")
+
+    def _hang(
+        self, box: HeldBox, T_world_tcp: Transform, obstacles: NDArray[np.float64] | None
+    ) -> NDArray[np.float64] | None:
+        """Tell MoveIt what is held, and return the obstacles without those that it is in as the arm stands."""
+        if not self._parameters.touch_links:
+            return obstacles
+        if not self._scene.apply(scene_holding(self._messages, self._parameters, box)):
+            raise RobotFault("MoveIt does not take what is held into its scene (tcp_link?); the arm holds it still")
+        self._hangs = True
+        reach = self._parameters.obstacle_m * np.sqrt(3) / 2
+        return None if obstacles is None else box.outside(obstacles, T_world_tcp, reach)
+
+    def _let_go(self) -> None:
+        """Tell MoveIt that nothing is held; what was held when an action was cancelled is known to MoveIt alone."""
+        if not self._parameters.touch_links or self._hangs is False:
+            return
+        taken = self._scene.apply(scene_empty_handed(self._messages, self._parameters))
+        if self._hangs and not taken:
+            raise RobotFault("MoveIt does not take what was held out of its scene; plans would go on minding it")
+        self._hangs = False
 
     def _put_back(self, T: Transform) -> None:
         """Down again to where the thing was taken, and leave."""
