@@ -146,6 +146,30 @@ def test_a_wrong_pose_is_measured_and_named(shift, noise):
     assert [frame for frame, _ in agreeing_views(fused)] == [fused]
 
 
+def turned(frame: Frame, axis: str, deg: float) -> Frame:
+    """The frame with its pose turned about an axis of the world through the middle of the table."""
+    assert frame.T_world_camera is not None
+    R = Rotation.from_euler(axis, deg, degrees=True).as_matrix()
+    return replace(frame, T_world_camera=make_transform(R, np.zeros(3)) @ frame.T_world_camera)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("noise", [False, True])
+def test_a_view_that_is_turned_lies_too_high_in_one_place_and_too_low_in_another(axis, noise):
+    """The table is 1 cm off at 0.3 m, and not at all on average."""
+    near, far = (
+        view(t.box("box", BOX_M, RED, t.pose(*BOX_AT)), eye=eye, size=SIZE, noise=noise).frame
+        for eye in ((-0.1, -0.6, 0.5), (0.1, -0.6, 0.55))
+    )
+    right, wrong = (fuse([near, f]).others for f in (far, turned(far, axis, 2.0)))
+    assert right is not None
+    assert wrong is not None
+    assert (right.agrees, wrong.agrees) == ((True,), (False,))
+    assert right.disagreement_m[0] < 0.002
+    assert 0.005 < wrong.disagreement_m[0] < 0.02
+    assert "mm apart" in wrong.degraded[0].reason
+
+
 def test_views_with_noise_agree():
     others = fuse([shot(FRONT, noise=True), shot(BACK, noise=True), shot(SIDE, noise=True)]).others
     assert others is not None

@@ -29,6 +29,9 @@ _SHARED_M = 0.03
 _AGREEING_COS = 0.85
 _MIN_SHARED = 60
 """Points of one orientation needed to measure how far two views lie apart along it."""
+_REGIONS, _MIN_IN_REGION = 3, 400
+"""So many by so many parts of the image in which that is measured anew, with so many points: a view that is turned lies
+too high in one part and too low in another."""
 _SAME_M = 0.006
 """A point this near to the surface that the first camera saw adds nothing."""
 _FREE_M, _FREE_AT_M = 0.010, 0.7
@@ -85,8 +88,8 @@ def fuse(
     pixel mixes two depths; elsewhere it stays, for the first camera may have looked through glass.
 
     How far two views lie apart is measured where they see the same surface: the median distance along the normal,
-    which noise does not move, for every orientation of which there is enough; the largest counts. A shift along all
-    surfaces that are shared cannot be seen.
+    which noise does not move, for every orientation of which there is enough, in the whole image and in its parts; the
+    largest counts. A shift along all surfaces that are shared cannot be seen.
 
     Args:
         frames: The view that plans and masks are about, then the others; all with `T_world_camera`.
@@ -230,6 +233,8 @@ class _Meeting:
     """(K,) distance along the normal of points that may lie on the same surface."""
     normal: Array
     """(K, 3) the surface's normal there."""
+    region: NDArray[np.intp]
+    """(K,) the part of the first camera's image that it is in."""
 
     @classmethod
     def of(cls, seen: _Cloud, camera: CameraIntrinsics, cloud: _Cloud) -> _Meeting:
@@ -247,7 +252,8 @@ class _Meeting:
         same[index] = ((np.abs(along) <= _SAME_M) & (away <= 2 * _SAME_M)) | (away <= _SAME_M)
         shared = (np.einsum("ni,ni->n", cloud.normals[index], normal) > _AGREEING_COS) & (away <= _SHARED_M)
         shared &= ~doubtful[index]
-        return cls(in_free, same, doubtful, along[shared].astype(np.float32), normal[shared])
+        region = v * _REGIONS // camera.height * _REGIONS + u * _REGIONS // camera.width
+        return cls(in_free, same, doubtful, along[shared].astype(np.float32), normal[shared], region[shared])
 
     def contradicted_share(self, edge: NDArray[np.bool_]) -> float:
         """Share of the points, edges (N,) of either view left out, that stand in space seen to be free."""
@@ -256,13 +262,17 @@ class _Meeting:
 
     def disagreement_m(self) -> float:
         """The largest median shift along one of 26 orientations; NaN where too little is shared."""
-        worst = math.nan
         if len(self.shift_m) < _MIN_SHARED:
-            return worst
+            return math.nan
         sector = np.rint(self.normal / np.abs(self.normal).max(axis=1, keepdims=True)).astype(np.int64) @ [9, 3, 1]
-        for one in np.unique(sector):
-            shift = self.shift_m[sector == one]
-            if len(shift) >= _MIN_SHARED:
+        everywhere = self._largest_median(sector, _MIN_SHARED)
+        return float(np.fmax(everywhere, self._largest_median(sector * _REGIONS**2 + self.region, _MIN_IN_REGION)))
+
+    def _largest_median(self, group: NDArray[np.integer], least: int) -> float:
+        worst = math.nan
+        for one in np.unique(group):
+            shift = self.shift_m[group == one]
+            if len(shift) >= least:
                 worst = float(np.fmax(worst, np.abs(np.median(shift))))
         return worst
 
