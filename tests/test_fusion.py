@@ -112,6 +112,18 @@ def test_the_first_view_stays_as_it_is():
     assert len(same.others.points) < 0.002 * first.depth.size, "a second look from the same place adds nothing"
 
 
+def test_what_an_earlier_view_added_is_not_added_again():
+    once, thrice = (fuse([shot(FRONT), *[shot(BACK)] * n]).others for n in (1, 3))
+    assert once is not None
+    assert thrice is not None
+    assert len(thrice.points) == len(once.points)
+    assert thrice.agrees == (True,) * 3
+    wrong = moved(shot(BACK), (0, 0, 0.02))
+    after = fuse([shot(FRONT), wrong, shot(BACK)]).others
+    assert after is not None
+    assert (after.view == 1).sum() == len(once.points), "what disagrees keeps nothing away that may be grasped"
+
+
 def test_the_added_points_know_their_view_colour_and_normal():
     fused = fuse([shot(FRONT), shot(BACK), shot(SIDE)])
     others = fused.others

@@ -83,7 +83,8 @@ def fuse(
 ) -> Frame:
     """Fuse views of one scene at rest in the first one's camera frame.
 
-    Of the other views' points, those that the first camera sees as well are left out, the rest is thinned. A point in
+    Of the other views' points, those that the first camera or an earlier view that agrees saw as well are left out, the
+    rest is thinned. A point in
     space that the first camera saw to be free is left out where it lies at an edge of its own image, since there one
     pixel mixes two depths; elsewhere it stays, for the first camera may have looked through glass.
 
@@ -118,7 +119,7 @@ def fuse(
         return first
     seen = _Cloud.of(first)
     kept = seen.points[np.isfinite(seen.points[..., 2])]
-    near = KDTree(kept[voxel_downsample(kept, voxel_m)]) if len(kept) else None
+    known = [KDTree(kept[voxel_downsample(kept, voxel_m)])] if len(kept) else []
     points: list[Array] = []
     normals: list[Array] = []
     colors: list[NDArray[np.uint8]] = []
@@ -128,12 +129,14 @@ def fuse(
         cloud = _Cloud.of(frame).moved(_between(first, frame))
         meeting = _Meeting.of(seen, first.camera, cloud)
         new = np.flatnonzero(~meeting.same & ~(meeting.in_free & cloud.edge))
-        new = new[_worth_adding(cloud.points[new], near, voxel_m)]
+        new = new[_worth_adding(cloud.points[new], known, voxel_m)]
         points.append(cloud.points[new])
         normals.append(cloud.normals[new])
         colors.append(cloud.colors[new])
         apart.append(meeting.disagreement_m())
         complaints.append(_complaint(number, apart[-1], meeting.contradicted_share(cloud.edge), max_disagreement_m))
+        if complaints[-1] is None and len(new):
+            known.append(KDTree(points[-1]))
     others = OtherViews(
         tuple(frames[1:]),
         np.concatenate(points),
@@ -277,10 +280,10 @@ class _Meeting:
         return worst
 
 
-def _worth_adding(points: Array, near: KDTree | None, voxel_m: float) -> NDArray[np.intp]:
-    """Indices of one point per voxel of points (N, 3), without those among the first view's and without lone ones."""
+def _worth_adding(points: Array, known: Sequence[KDTree], voxel_m: float) -> NDArray[np.intp]:
+    """Indices of one point per voxel of points (N, 3), without those among known ones and without lone ones."""
     chosen = voxel_downsample(points, voxel_m)
-    if near is not None and len(chosen):
+    for near in known if len(chosen) else ():
         chosen = chosen[np.isinf(near.query(points[chosen], distance_upper_bound=voxel_m)[0])]
     if len(chosen) < _COMPANY:
         return chosen[:0]
