@@ -331,6 +331,18 @@ def test_a_view_without_any_return_adds_nothing():
     assert lonely.others.agrees == (False,)
 
 
+def test_infinite_depth_is_no_return():
+    back = shot(BACK)
+    cut = np.where(back.depth > 0.7, np.float32(np.inf), back.depth)
+    holes = np.where(back.depth > 0.7, np.float32(0), back.depth)
+    infinite, none = (fuse([shot(FRONT), replace(back, depth=d)]) for d in (cut, holes))
+    assert infinite.others is not None
+    assert none.others is not None
+    assert np.array_equal(infinite.others.points, none.others.points)
+    points = apply(invert(shot(FRONT).T_world_camera), np.array([[0.02, 0.09, 0.09], [0.1, 0.2, 0.1]]))  # type: ignore[arg-type]
+    assert np.array_equal(seen_free(infinite, points), seen_free(none, points))
+
+
 def test_views_of_other_sizes_and_nan_depth_are_taken():
     small = view(t.box("box", BOX_M, RED, t.pose(*BOX_AT)), eye=BACK, size=(200, 150), noise=False).frame
     depth = np.where(small.depth > 0, small.depth, np.float32(np.nan))

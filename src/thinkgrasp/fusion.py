@@ -166,7 +166,7 @@ def seen_free(frame: Frame, points: NDArray[np.floating], tolerance_m: float = 0
         p = apply(T_other_first, np.asarray(points, np.float64))
         v, u, front = _pixels(p, other.camera)
         z = other.depth[v, u]
-        free[front] |= (z > 0) & (z - p[front, 2] > tolerance_m)
+        free[front] |= (z > 0) & (z < np.inf) & (z - p[front, 2] > tolerance_m)
     return free
 
 
