@@ -9,9 +9,11 @@ import pytest
 from fakes.ros import FakeClock, FakeTransforms, camera_info, image, parameters
 from fakes.stages import table_frame
 from fakes.table_loop import POSE
+from scipy.spatial.transform import Rotation
 from thinkgrasp_ros.cameras import TopicCamera
 
 from thinkgrasp.errors import InputError
+from thinkgrasp.geometry import make_transform
 
 FRAME = table_frame()
 MS = 1_000_000
@@ -118,6 +120,21 @@ def test_a_pose_that_tf_does_not_know_is_an_input_error():
     cam.feed(*messages(clock.ns))
     with pytest.raises(InputError, match="extrapolation into the future"):
         cam.read()
+
+
+def test_a_frame_that_is_not_optical_is_named():
+    """A simulator's camera_link: x forward, z up; here pitched down by 40 degrees."""
+    pitched = make_transform(Rotation.from_euler("y", 40, degrees=True).as_matrix(), np.array([0, 0, 0.8]))
+    optical = pitched @ make_transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
+    clock = FakeClock()
+    for pose, good in ((pitched, False), (optical, True)):
+        cam = camera(clock, FakeTransforms({"camera_optical": pose}))
+        cam.feed(*messages(clock.ns))
+        if good:
+            assert cam.read().T_world_camera is pose
+        else:
+            with pytest.raises(InputError, match=r"z of its frame 'camera_optical' points upwards .*optical frame"):
+                cam.read()
 
 
 def test_the_workspace_is_a_box_in_the_world():
