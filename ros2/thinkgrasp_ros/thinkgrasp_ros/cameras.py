@@ -84,8 +84,8 @@ class TopicCamera:
         if T[2, 2] > _UPWARDS:
             raise InputError(
                 f"camera {self.camera.name!r}: z of its frame {source!r} points upwards in "
-                f"{self._parameters.world_frame!r}: images must be in an optical frame (REP 103: z forward, x right), and "
-                "z of world_frame must be up"
+                f"{self._parameters.world_frame!r}: images must be in an optical frame (REP 103: z forward, x right), "
+                "and z of world_frame must be up"
             )
         return T
 
