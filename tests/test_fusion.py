@@ -112,6 +112,18 @@ def test_the_first_view_stays_as_it_is():
     assert len(same.others.points) < 0.002 * first.depth.size, "a second look from the same place adds nothing"
 
 
+def test_what_an_earlier_view_added_is_not_added_again():
+    once, thrice = (fuse([shot(FRONT), *[shot(BACK)] * n]).others for n in (1, 3))
+    assert once is not None
+    assert thrice is not None
+    assert len(thrice.points) == len(once.points)
+    assert thrice.agrees == (True,) * 3
+    wrong = moved(shot(BACK), (0, 0, 0.02))
+    after = fuse([shot(FRONT), wrong, shot(BACK)]).others
+    assert after is not None
+    assert (after.view == 1).sum() == len(once.points), "what disagrees keeps nothing away that may be grasped"
+
+
 def test_the_added_points_know_their_view_colour_and_normal():
     fused = fuse([shot(FRONT), shot(BACK), shot(SIDE)])
     others = fused.others
@@ -144,6 +156,30 @@ def test_a_wrong_pose_is_measured_and_named(shift, noise):
     assert said.stage == "fusion"
     assert "mm apart (limit 5 mm)" in said.reason
     assert [frame for frame, _ in agreeing_views(fused)] == [fused]
+
+
+def turned(frame: Frame, axis: str, deg: float) -> Frame:
+    """The frame with its pose turned about an axis of the world through the middle of the table."""
+    assert frame.T_world_camera is not None
+    R = Rotation.from_euler(axis, deg, degrees=True).as_matrix()
+    return replace(frame, T_world_camera=make_transform(R, np.zeros(3)) @ frame.T_world_camera)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("noise", [False, True])
+def test_a_view_that_is_turned_lies_too_high_in_one_place_and_too_low_in_another(axis, noise):
+    """The table is 1 cm off at 0.3 m, and not at all on average."""
+    near, far = (
+        view(t.box("box", BOX_M, RED, t.pose(*BOX_AT)), eye=eye, size=SIZE, noise=noise).frame
+        for eye in ((-0.1, -0.6, 0.5), (0.1, -0.6, 0.55))
+    )
+    right, wrong = (fuse([near, f]).others for f in (far, turned(far, axis, 2.0)))
+    assert right is not None
+    assert wrong is not None
+    assert (right.agrees, wrong.agrees) == ((True,), (False,))
+    assert right.disagreement_m[0] < 0.002
+    assert 0.005 < wrong.disagreement_m[0] < 0.02
+    assert "mm apart" in wrong.degraded[0].reason
 
 
 def test_views_with_noise_agree():
@@ -293,6 +329,18 @@ def test_a_view_without_any_return_adds_nothing():
     lonely = fuse([replace(shot(FRONT), depth=np.full_like(shot(FRONT).depth, np.nan)), shot(BACK)])
     assert lonely.others is not None
     assert lonely.others.agrees == (False,)
+
+
+def test_infinite_depth_is_no_return():
+    back = shot(BACK)
+    cut = np.where(back.depth > 0.7, np.float32(np.inf), back.depth)
+    holes = np.where(back.depth > 0.7, np.float32(0), back.depth)
+    infinite, none = (fuse([shot(FRONT), replace(back, depth=d)]) for d in (cut, holes))
+    assert infinite.others is not None
+    assert none.others is not None
+    assert np.array_equal(infinite.others.points, none.others.points)
+    points = apply(invert(shot(FRONT).T_world_camera), np.array([[0.02, 0.09, 0.09], [0.1, 0.2, 0.1]]))  # type: ignore[arg-type]
+    assert np.array_equal(seen_free(infinite, points), seen_free(none, points))
 
 
 def test_views_of_other_sizes_and_nan_depth_are_taken():

@@ -29,6 +29,9 @@ _SHARED_M = 0.03
 _AGREEING_COS = 0.85
 _MIN_SHARED = 60
 """Points of one orientation needed to measure how far two views lie apart along it."""
+_REGIONS, _MIN_IN_REGION = 3, 400
+"""So many by so many parts of the image in which that is measured anew, with so many points: a view that is turned lies
+too high in one part and too low in another."""
 _SAME_M = 0.006
 """A point this near to the surface that the first camera saw adds nothing."""
 _FREE_M, _FREE_AT_M = 0.010, 0.7
@@ -80,13 +83,14 @@ def fuse(
 ) -> Frame:
     """Fuse views of one scene at rest in the first one's camera frame.
 
-    Of the other views' points, those that the first camera sees as well are left out, the rest is thinned. A point in
+    Of the other views' points, those that the first camera or an earlier view that agrees saw as well are left out, the
+    rest is thinned. A point in
     space that the first camera saw to be free is left out where it lies at an edge of its own image, since there one
     pixel mixes two depths; elsewhere it stays, for the first camera may have looked through glass.
 
     How far two views lie apart is measured where they see the same surface: the median distance along the normal,
-    which noise does not move, for every orientation of which there is enough; the largest counts. A shift along all
-    surfaces that are shared cannot be seen.
+    which noise does not move, for every orientation of which there is enough, in the whole image and in its parts; the
+    largest counts. A shift along all surfaces that are shared cannot be seen.
 
     Args:
         frames: The view that plans and masks are about, then the others; all with `T_world_camera`.
@@ -115,7 +119,7 @@ def fuse(
         return first
     seen = _Cloud.of(first)
     kept = seen.points[np.isfinite(seen.points[..., 2])]
-    near = KDTree(kept[voxel_downsample(kept, voxel_m)]) if len(kept) else None
+    known = [KDTree(kept[voxel_downsample(kept, voxel_m)])] if len(kept) else []
     points: list[Array] = []
     normals: list[Array] = []
     colors: list[NDArray[np.uint8]] = []
@@ -125,12 +129,14 @@ def fuse(
         cloud = _Cloud.of(frame).moved(_between(first, frame))
         meeting = _Meeting.of(seen, first.camera, cloud)
         new = np.flatnonzero(~meeting.same & ~(meeting.in_free & cloud.edge))
-        new = new[_worth_adding(cloud.points[new], near, voxel_m)]
+        new = new[_worth_adding(cloud.points[new], known, voxel_m)]
         points.append(cloud.points[new])
         normals.append(cloud.normals[new])
         colors.append(cloud.colors[new])
         apart.append(meeting.disagreement_m())
         complaints.append(_complaint(number, apart[-1], meeting.contradicted_share(cloud.edge), max_disagreement_m))
+        if complaints[-1] is None and len(new):
+            known.append(KDTree(points[-1]))
     others = OtherViews(
         tuple(frames[1:]),
         np.concatenate(points),
@@ -160,7 +166,7 @@ def seen_free(frame: Frame, points: NDArray[np.floating], tolerance_m: float = 0
         p = apply(T_other_first, np.asarray(points, np.float64))
         v, u, front = _pixels(p, other.camera)
         z = other.depth[v, u]
-        free[front] |= (z > 0) & (z - p[front, 2] > tolerance_m)
+        free[front] |= (z > 0) & (z < np.inf) & (z - p[front, 2] > tolerance_m)
     return free
 
 
@@ -230,6 +236,8 @@ class _Meeting:
     """(K,) distance along the normal of points that may lie on the same surface."""
     normal: Array
     """(K, 3) the surface's normal there."""
+    region: NDArray[np.intp]
+    """(K,) the part of the first camera's image that it is in."""
 
     @classmethod
     def of(cls, seen: _Cloud, camera: CameraIntrinsics, cloud: _Cloud) -> _Meeting:
@@ -247,7 +255,8 @@ class _Meeting:
         same[index] = ((np.abs(along) <= _SAME_M) & (away <= 2 * _SAME_M)) | (away <= _SAME_M)
         shared = (np.einsum("ni,ni->n", cloud.normals[index], normal) > _AGREEING_COS) & (away <= _SHARED_M)
         shared &= ~doubtful[index]
-        return cls(in_free, same, doubtful, along[shared].astype(np.float32), normal[shared])
+        region = v * _REGIONS // camera.height * _REGIONS + u * _REGIONS // camera.width
+        return cls(in_free, same, doubtful, along[shared].astype(np.float32), normal[shared], region[shared])
 
     def contradicted_share(self, edge: NDArray[np.bool_]) -> float:
         """Share of the points, edges (N,) of either view left out, that stand in space seen to be free."""
@@ -256,21 +265,25 @@ class _Meeting:
 
     def disagreement_m(self) -> float:
         """The largest median shift along one of 26 orientations; NaN where too little is shared."""
-        worst = math.nan
         if len(self.shift_m) < _MIN_SHARED:
-            return worst
+            return math.nan
         sector = np.rint(self.normal / np.abs(self.normal).max(axis=1, keepdims=True)).astype(np.int64) @ [9, 3, 1]
-        for one in np.unique(sector):
-            shift = self.shift_m[sector == one]
-            if len(shift) >= _MIN_SHARED:
+        everywhere = self._largest_median(sector, _MIN_SHARED)
+        return float(np.fmax(everywhere, self._largest_median(sector * _REGIONS**2 + self.region, _MIN_IN_REGION)))
+
+    def _largest_median(self, group: NDArray[np.integer], least: int) -> float:
+        worst = math.nan
+        for one in np.unique(group):
+            shift = self.shift_m[group == one]
+            if len(shift) >= least:
                 worst = float(np.fmax(worst, np.abs(np.median(shift))))
         return worst
 
 
-def _worth_adding(points: Array, near: KDTree | None, voxel_m: float) -> NDArray[np.intp]:
-    """Indices of one point per voxel of points (N, 3), without those among the first view's and without lone ones."""
+def _worth_adding(points: Array, known: Sequence[KDTree], voxel_m: float) -> NDArray[np.intp]:
+    """Indices of one point per voxel of points (N, 3), without those among known ones and without lone ones."""
     chosen = voxel_downsample(points, voxel_m)
-    if near is not None and len(chosen):
+    for near in known if len(chosen) else ():
         chosen = chosen[np.isinf(near.query(points[chosen], distance_upper_bound=voxel_m)[0])]
     if len(chosen) < _COMPANY:
         return chosen[:0]

@@ -69,7 +69,7 @@ def deproject(depth: Array, camera: CameraIntrinsics) -> Array:
     """Turn a depth image into an organised point cloud in the camera frame.
 
     Args:
-        depth: Depth along the optical axis, (H, W) float32 [m]; 0 or NaN = no return.
+        depth: Depth along the optical axis, (H, W) float32 [m]; 0, NaN or infinite = no return.
         camera: Pinhole intrinsics [px].
 
     Returns:
@@ -80,7 +80,7 @@ def deproject(depth: Array, camera: CameraIntrinsics) -> Array:
     """
     if depth.shape != (camera.height, camera.width):
         raise InputError(f"depth is {depth.shape[::-1]} but the camera is {camera.width}x{camera.height}")
-    z = np.where(depth > 0, depth, np.float32(np.nan)).astype(np.float32)
+    z = np.where((depth > 0) & (depth < np.inf), depth, np.float32(np.nan)).astype(np.float32)
     points = np.empty((*depth.shape, 3), np.float32)
     points[..., 0] = z * ((np.arange(camera.width, dtype=np.float32) - camera.cx) / camera.fx).astype(np.float32)
     points[..., 1] = (

@@ -44,7 +44,14 @@ MOVEIT = {
         string cartesian_speed_limited_link
         float64 max_cartesian_speed""",
     "msg/WorkspaceParameters": "std_msgs/Header header",
-    "msg/RobotState": "sensor_msgs/JointState joint_state\nbool is_diff",
+    "msg/RobotState": """sensor_msgs/JointState joint_state
+        AttachedCollisionObject[] attached_collision_objects
+        bool is_diff""",
+    "msg/AttachedCollisionObject": """string link_name
+        CollisionObject object
+        string[] touch_links
+        trajectory_msgs/JointTrajectory detach_posture
+        float64 weight""",
     "msg/Constraints": """string name
         JointConstraint[] joint_constraints
         PositionConstraint[] position_constraints
@@ -166,7 +173,8 @@ def _default(node: Any) -> Any:
         return Strict(about)
     if kind == Nodetype.BASE:
         base = about[0]
-        return "" if base == "string" else False if base == "bool" else 0.0 if base.startswith("float") else 0
+        defaults: dict[str, Any] = {"string": "", "bool": False, "byte": b"\0"}
+        return defaults.get(base, 0.0 if base.startswith("float") else 0)
     if kind == Nodetype.ARRAY:
         return [_default(about[0]) for _ in range(about[1])]
     return []
@@ -190,8 +198,10 @@ def _check(where: str, node: Any, value: Any) -> None:
 
 
 def _check_base(where: str, base: str, value: Any) -> None:
-    wanted = str if base == "string" else bool if base == "bool" else float if base.startswith("float") else int
+    kinds = {"string": str, "bool": bool, "byte": bytes}
+    wanted = kinds.get(base, float if base.startswith("float") else int)
     assert type(value) is wanted, f"{where} must be a {wanted.__name__} ({base}), got {value!r}"
+    assert base != "byte" or len(value) == 1, f"{where} must be one byte, got {value!r}"
     if base in _RANGES:
         bits = _RANGES[base]
         low, high = (0, 2**bits) if base.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1))
@@ -203,7 +213,7 @@ def _native(node: Any, value: Any) -> Any:
     if kind == Nodetype.NAME:
         return value.native()
     if kind == Nodetype.BASE:
-        return value
+        return value[0] if about[0] == "byte" else value
     inner = about[0]
     if inner[0] == Nodetype.BASE and inner[1][0] != "string":
         base = inner[1][0]
@@ -256,6 +266,35 @@ class FakeMotions:
         if cancelled():
             return -7
         return self.script.pop(0) if self.script else 1
+
+
+@dataclass
+class FakeScene:
+    """MoveIt's planning scene: what hangs on links, and what stands in the world, by name."""
+
+    attached: dict[str, Strict] = field(default_factory=dict)
+    world: set[str] = field(default_factory=set)
+    answers: bool = True
+    asked: int = 0
+
+    def apply(self, scene: Strict) -> bool:
+        scene.bytes()
+        assert scene.is_diff, "all that MoveIt knows would be forgotten"
+        assert scene.robot_state.is_diff
+        self.asked += 1
+        good = self.answers
+        for one in scene.robot_state.attached_collision_objects if good else ():
+            if one.object.operation == b"\0":
+                assert one.link_name
+                assert len(one.object.primitives) == len(one.object.primitive_poses) == 1
+                self.attached[one.object.id] = one
+            elif self.attached.pop(one.object.id, None) is not None:
+                self.world.add(one.object.id)
+        for thing in scene.world.collision_objects if good else ():
+            assert thing.operation == b"\1"
+            good &= thing.id in self.world
+            self.world.discard(thing.id)
+        return good
 
 
 @dataclass

@@ -94,6 +94,40 @@ def test_short_words_and_two_errors_are_not_corrected(word: str) -> None:
     assert query.unknown == (word,)
 
 
+@pytest.mark.parametrize(
+    ("text", "unknown"),
+    [
+        ("dame el taladro", ("dame", "el", "taladro")),
+        ("gib mir den roten Hammmer", ("gib", "mir", "den", "roten", "hammmer")),
+        ("yelow blorf", ("yelow", "blorf")),
+    ],
+)
+def test_where_most_is_strange_nothing_is_taken_for_a_typo(text: str, unknown: tuple[str, ...]) -> None:
+    """Another language has words that are one letter from ours: "dame" is no game, "rote" no rope."""
+    query = parse(text)
+    assert not query.understood
+    assert query.unknown == unknown
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "part", "colors"),
+    [
+        ("the lid of the mustard bottle", "mustard bottle", "lid", []),
+        ("the red cap of the bottle", "bottle", "cap", []),
+        ("the red cap of the white bottle", "bottle", "cap", ["white"]),
+        ("the red mug's handle", "mug", "handle", ["red"]),
+    ],
+)
+def test_what_is_said_of_a_part_is_not_said_of_its_thing(text: str, name: str, part: str, colors: list[str]) -> None:
+    (wanted,) = parse(text).wanted
+    assert (wanted.names, wanted.part, [c.word for c in wanted.colors]) == ((name,), part, colors)
+
+
+def test_a_lid_is_a_thing_of_its_own_too() -> None:
+    (wanted,) = parse("give me the lid").wanted
+    assert (wanted.names, wanted.part) == (("skillet lid",), None)
+
+
 MEANINGS: list[tuple[str, list[dict[str, object]]]] = [
     ("I need a fruit", [{"categories": ("fruit",)}]),
     ("some vegetables", [{"categories": ("vegetable",)}]),

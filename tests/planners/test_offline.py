@@ -112,6 +112,14 @@ def test_where_nothing_can_hide_the_goal_nothing_is_taken() -> None:
     assert not p.found
     assert p.mark is None
     assert "in view: " in p.rationale
+    assert not p.rationale.endswith(".")
+    remarked = plan(TABLE, "the frobnicated grey elephant").rationale
+    assert remarked == f"{p.rationale}. Not understood: 'frobnicated'."
+
+
+def test_which_of_several_is_said() -> None:
+    assert ": number 2 leftmost 1.00" in plan(TABLE, "the second thing from the left").rationale
+    assert ": leftmost 1.00" in plan(TABLE, "the leftmost thing").rationale
 
 
 def test_a_pile_too_small_for_the_goal_is_left_alone() -> None:

@@ -9,9 +9,11 @@ import pytest
 from fakes.ros import FakeClock, FakeTransforms, camera_info, image, parameters
 from fakes.stages import table_frame
 from fakes.table_loop import POSE
+from scipy.spatial.transform import Rotation
 from thinkgrasp_ros.cameras import TopicCamera
 
 from thinkgrasp.errors import InputError
+from thinkgrasp.geometry import make_transform
 
 FRAME = table_frame()
 MS = 1_000_000
@@ -34,7 +36,7 @@ def camera(clock: FakeClock, transforms: FakeTransforms | None = None, **changes
 def test_a_frame_is_what_the_messages_say():
     clock, transforms = FakeClock(), FakeTransforms({"camera_optical": POSE})
     cam = camera(clock, transforms)
-    cam.feed(*messages(clock.ns, depth_ns=clock.ns + 20 * MS))
+    cam.feed(*messages(clock.ns + 20 * MS, depth_ns=clock.ns))
     frame = cam.read()
     assert np.array_equal(frame.color, FRAME.color)
     assert np.allclose(frame.depth, FRAME.depth, atol=6e-4)
@@ -54,6 +56,14 @@ def test_images_from_before_the_question_are_not_taken():
     later.start()
     cam.read()
     later.join()
+
+
+def test_depth_from_before_the_question_is_not_taken_with_a_colour_image_from_after_it():
+    clock = FakeClock()
+    cam = camera(clock)
+    cam.feed(*messages(clock.ns + 10 * MS, depth_ns=clock.ns - 20 * MS))
+    with pytest.raises(InputError, match="no new images"):
+        cam.read()
 
 
 def test_a_frozen_camera_and_a_silent_one_are_named():
@@ -110,6 +120,21 @@ def test_a_pose_that_tf_does_not_know_is_an_input_error():
     cam.feed(*messages(clock.ns))
     with pytest.raises(InputError, match="extrapolation into the future"):
         cam.read()
+
+
+def test_a_frame_that_is_not_optical_is_named():
+    """A simulator's camera_link: x forward, z up; here pitched down by 40 degrees."""
+    pitched = make_transform(Rotation.from_euler("y", 40, degrees=True).as_matrix(), np.array([0, 0, 0.8]))
+    optical = pitched @ make_transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
+    clock = FakeClock()
+    for pose, good in ((pitched, False), (optical, True)):
+        cam = camera(clock, FakeTransforms({"camera_optical": pose}))
+        cam.feed(*messages(clock.ns))
+        if good:
+            assert cam.read().T_world_camera is pose
+        else:
+            with pytest.raises(InputError, match=r"z of its frame 'camera_optical' points upwards .*optical frame"):
+                cam.read()
 
 
 def test_the_workspace_is_a_box_in_the_world():

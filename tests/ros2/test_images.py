@@ -104,6 +104,7 @@ def test_distortion_is_refused_unless_the_images_are_rectified():
         ({"k": [600.0, 5.0, 3.0, 0.0, 600.0, 2.0, 0.0, 0.0, 1.0]}, False, "skew"),
         ({"k": [600.0, 0.0, 99.0, 0.0, 600.0, 2.0, 0.0, 0.0, 1.0]}, False, "principal point"),
         ({"p": [600.0, 0, 3.0, -30.0, 0, 600.0, 2.0, 0, 0, 0, 1.0, 0]}, True, "second camera of a stereo pair"),
+        ({"p": [600.0, 0, 3.0, float("nan"), 0, 600.0, 2.0, 0, 0, 0, 1.0, 0]}, True, "second camera of a stereo pair"),
         ({"r": [0.0, -1.0, 0, 1.0, 0, 0, 0, 0, 1.0]}, True, "turns the image"),
         ({"p": [0.0] * 12}, True, "not calibrated"),
     ],
@@ -119,6 +120,16 @@ def test_what_cameras_are_refused(change, rectified, said):
 def test_a_region_of_interest_is_refused():
     message = camera_info(CAMERA, NS)
     message.roi.width = 3
+    with pytest.raises(InputError, match="cut-out"):
+        intrinsics(message)
+
+
+def test_a_region_that_is_the_whole_image_is_none():
+    """sensor_msgs/CameraInfo: all zeros mean the same as the full width and height."""
+    message = camera_info(CAMERA, NS)
+    message.roi.width, message.roi.height = CAMERA.width, CAMERA.height
+    assert intrinsics(message) == CAMERA
+    message.roi.x_offset = 1
     with pytest.raises(InputError, match="cut-out"):
         intrinsics(message)
 

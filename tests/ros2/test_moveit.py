@@ -90,7 +90,7 @@ def test_the_perceived_cloud_becomes_cubes():
     goal = pose_goal(MESSAGES, told, T, obstacles=cubes)
     (thing,) = goal.planning_options.planning_scene_diff.world.collision_objects
     assert len(thing.primitives) == len(thing.primitive_poses) == len(cubes)
-    assert thing.operation == 0
+    assert thing.operation == b"\0"
     assert len(goal.bytes()) > 1000
 
 
@@ -117,7 +117,7 @@ def test_gripper_goals(width, position):
 
 def test_every_code_of_moveit_means_something():
     """The codes of moveit_msgs/msg/MoveItErrorCodes."""
-    codes = {1, 99999, *range(-7, 0), *range(-19, -9), *range(-31, -20)} - {-8, -9, -20}
+    codes = {1, 0, 99999, *range(-7, 0), *range(-19, -9), *range(-31, -20)} - {-8, -9, -20}
     assert {1, *OUTCOMES, *MISTAKES, *FAULTS} == codes
     assert outcome_of(1) is None
     assert {outcome_of(code) for code in OUTCOMES} == {"unreachable", "collision", "preempted"}

@@ -48,17 +48,34 @@ class Handle:
 class ScriptedServer:
     """An action server as an ActionClient sees it; without a result it works until it is cancelled."""
 
-    there = accepts = stops = True
+    there = accepts = stops = answers = True
 
     def __init__(self) -> None:
         self.result = self.cancelled = None
-        self.cancels, self.goals = 0, []
+        self.cancels, self.goals, self.asked = 0, [], Future()
+
+
+class SceneServer:
+    """A service as its client sees it."""
+
+    there, answer = True, SimpleNamespace(success=True)
+
+    def __init__(self) -> None:
+        self.requests: list = []
+
+    def call(self, request) -> Future:
+        self.requests.append(request)
+        future = Future()
+        if self.answer is not None:
+            future.set_result(self.answer)
+        return future
 
 
 class Node:
     def __init__(self, name: str) -> None:
         self.name, self.parameters, self.services = name, {}, {}
         self.logged: list[str] = []
+        self.scene_server = SceneServer()
 
     def declare_parameter(self, name, value, descriptor):
         assert descriptor.dynamic_typing
@@ -66,10 +83,18 @@ class Node:
         return SimpleNamespace(value=value)
 
     def get_logger(self):
-        return SimpleNamespace(info=self.logged.append, warning=self.logged.append)
+        return SimpleNamespace(**dict.fromkeys(("info", "warning", "error"), self.logged.append))
 
     def get_clock(self):
         return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=5_000_000_000))
+
+    def destroy_node(self):
+        self.logged.append("destroyed")
+
+    def create_client(self, kind, name, *, callback_group):
+        return SimpleNamespace(
+            wait_for_service=lambda *, timeout_sec: self.scene_server.there, call_async=self.scene_server.call
+        )
 
     def create_service(self, kind, name, callback, *, callback_group):
         self.services[name] = callback
@@ -104,9 +129,10 @@ def ros(monkeypatch):
 
         def send_goal_async(self, goal) -> Future:
             server.goals.append(goal)
-            future = Future()
-            future.set_result(Handle(server))
-            return future
+            server.asked = Future()
+            if server.answers:
+                server.asked.set_result(Handle(server))
+            return server.asked
 
     class ActionServer:
         def __init__(self, node, kind, name, *, execute_callback, goal_callback, cancel_callback, callback_group):
@@ -130,8 +156,9 @@ def ros(monkeypatch):
         parts = {p: maker(f"{package}/action/{name}_{p}") for p in ("Goal", "Result", "Feedback")}
         return SimpleNamespace(**parts)
 
+    calls: list = []
     values = {
-        "rclpy": {"ok": lambda: True},
+        "rclpy": {"init": lambda **kw: calls.append(kw), "try_shutdown": lambda: calls.append("shutdown")},
         "rclpy.logging": {"get_logger": lambda name: None},
         "rclpy.action": {
             "ActionClient": ActionClient,
@@ -143,6 +170,7 @@ def ros(monkeypatch):
         "rclpy.duration": {"Duration": lambda *, seconds: SimpleNamespace(seconds=seconds)},
         "rclpy.executors": {"ExternalShutdownException": RuntimeError, "MultiThreadedExecutor": object},
         "rclpy.node": {"Node": Node},
+        "rclpy.signals": {"SignalHandlerOptions": SimpleNamespace(NO="no handlers")},
         "rclpy.qos": {"qos_profile_sensor_data": "sensor data"},
         "rclpy.time": {"Time": lambda *, nanoseconds: SimpleNamespace(nanoseconds=nanoseconds)},
         "rcl_interfaces.msg": {"ParameterDescriptor": lambda *, dynamic_typing: SimpleNamespace(dynamic_typing=True)},
@@ -154,6 +182,7 @@ def ros(monkeypatch):
         "message_filters": {"ApproximateTimeSynchronizer": Synchroniser, "Subscriber": Subscriber},
         "control_msgs.action": {"GripperCommand": action("GripperCommand", "control_msgs")},
         "moveit_msgs.action": {"MoveGroup": action("MoveGroup", "moveit_msgs")},
+        "moveit_msgs.srv": {"ApplyPlanningScene": SimpleNamespace(Request=SimpleNamespace)},
         "moveit_msgs.msg": {"Constraints": maker("moveit_msgs/msg/Constraints")},
         "sensor_msgs.msg": {"CameraInfo": "CameraInfo", "Image": "Image"},
         "thinkgrasp_interfaces.action": {"ClearAndGrasp": action("ClearAndGrasp")},
@@ -172,7 +201,7 @@ def ros(monkeypatch):
     monkeypatch.delitem(sys.modules, "thinkgrasp_ros.node", raising=False)
     module = import_module("thinkgrasp_ros.node")
     monkeypatch.setattr(module, "_CONNECT_S", 0.1)
-    yield SimpleNamespace(module=module, server=server)
+    yield SimpleNamespace(module=module, server=server, calls=calls)
     sys.modules.pop("thinkgrasp_ros.node", None)
 
 
@@ -181,11 +210,14 @@ def never() -> bool:
 
 
 def motions(ros, **changes):
-    return ros.module.RosMotions(Node("n"), parameters(**({"motion_timeout_s": 0.2} | changes)))
+    return ros.module.RosMotions(Node("n"), parameters(**({"motion_timeout_s": 0.2, "planning_time_s": 0.1} | changes)))
 
 
-def moved(code: int):
-    return SimpleNamespace(result=SimpleNamespace(error_code=SimpleNamespace(val=code)), status=4)
+def moved(code: int, points: int = 0):
+    planned = SimpleNamespace(joint_trajectory=SimpleNamespace(points=[0] * points))
+    return SimpleNamespace(
+        result=SimpleNamespace(error_code=SimpleNamespace(val=code), planned_trajectory=planned), status=4
+    )
 
 
 def test_messages_are_found_by_their_names(ros):
@@ -212,6 +244,40 @@ def test_a_server_that_does_not_play_along_is_a_fault(ros, change, said):
         motions(ros).move("goal", never)
 
 
+@pytest.mark.parametrize(("code", "points", "meant"), [(-6, 0, -6), (-6, 7, -4), (1, 7, 1), (-3, 7, -3)])
+def test_a_controller_that_takes_too_long_is_no_planner_that_does(ros, code, points, meant):
+    """The loop goes on after a planner's TIMED_OUT; an arm that stalls on its way somebody has to look at."""
+    ros.server.result = moved(code, points)
+    assert motions(ros).move("goal", never) == meant
+
+
+def test_a_goal_that_is_accepted_too_late_is_cancelled(ros):
+    ros.server.answers = False
+    with pytest.raises(RobotFault, match="did not answer in"):
+        motions(ros).move("goal", never)
+    assert ros.server.cancels == 0
+    ros.server.asked.set_result(Handle(ros.server))
+    assert ros.server.cancels == 1
+
+
+def test_a_planner_has_its_time_to_come_to_an_end_after_a_cancel(ros):
+    """move_group answers a cancel only when the planner is through, and RRT* takes all its time."""
+    ros.server.stops = False
+    asked: list[float] = []
+    client = motions(ros, planning_time_s=0.5)
+    real = ros.module._wait
+
+    def waiting(future, timeout_s, cancelled):
+        asked.append(timeout_s)
+        if len(asked) == 3:
+            future.set_result(moved(-7))
+        return real(future, timeout_s, cancelled)
+
+    ros.module._wait = waiting
+    assert client.move("goal", lambda: True) == -7
+    assert asked[2] == pytest.approx(0.6)
+
+
 def test_a_motion_that_takes_too_long_is_cancelled_and_a_fault(ros):
     ros.server.cancelled = moved(-7)
     with pytest.raises(RobotFault, match=r"was not done in 0\.2 s; it was cancelled"):
@@ -231,6 +297,21 @@ def test_a_motion_that_does_not_stop_is_a_fault(ros):
     ros.server.stops = False
     with pytest.raises(RobotFault, match="does not stop although it was cancelled"):
         motions(ros).move("goal", lambda: True)
+
+
+def test_the_planning_scene(ros):
+    node = Node("n")
+    scene = ros.module.RosScene(node, parameters())
+    assert scene.apply("difference") is True
+    assert node.scene_server.requests[0].scene == "difference"
+    node.scene_server.answer = SimpleNamespace(success=False)
+    assert scene.apply("difference") is False
+    node.scene_server.answer = None
+    with pytest.raises(RobotFault, match=r"/apply_planning_scene \(MoveIt\) did not answer"):
+        scene.apply("difference")
+    node.scene_server.there = False
+    with pytest.raises(RobotFault, match="no service /apply_planning_scene"):
+        scene.apply("difference")
 
 
 @pytest.mark.parametrize(
@@ -281,19 +362,102 @@ def test_the_node_offers_its_service_and_its_action(ros):
     assert "no rigid transform" in response.message, "the images came through, the pose did not"
 
 
-@pytest.mark.parametrize(("cancelled", "ends"), [(False, "abort"), (True, "canceled")])
-def test_a_goal_ends_in_the_right_state(ros, cancelled, ends):
-    node = ros.module.ThinkGraspNode()
-    called: list[str] = []
-    handle = SimpleNamespace(
+def goal_handle(called: list[str], *, cancelled: bool = False):
+    return SimpleNamespace(
         request=Strict("thinkgrasp_interfaces/action/ClearAndGrasp_Goal"),
         is_cancel_requested=cancelled,
         publish_feedback=lambda m: None,
         **{name: (lambda name=name: called.append(name)) for name in ("abort", "canceled", "succeed")},
     )
+
+
+@pytest.mark.parametrize(
+    ("end", "cancelled", "stopping", "ends"),
+    [
+        ("error", False, False, "abort"),
+        ("error", True, False, "abort"),
+        ("stopped", True, False, "canceled"),
+        ("stopped", False, True, "abort"),
+        ("no_grasp", False, False, "succeed"),
+        ("goal_delivered", False, False, "succeed"),
+    ],
+)
+def test_a_goal_ends_in_the_right_state(ros, end, cancelled, stopping, ends):
+    """A fault is not hidden by a cancel: "does not stop although it was cancelled" is one."""
+    node = ros.module.ThinkGraspNode()
+    called: list[str] = []
+    handle = goal_handle(called, cancelled=cancelled)
     assert node.action.accept(handle.request) == "accept"
     assert node.action.cancel(handle) == "accept"
+
+    def serve(goal, result, *, cancelled, publish):
+        if stopping:
+            node.stop()
+        assert cancelled() == (handle.is_cancel_requested or stopping)
+        result.end = end
+
+    node._server.clear_and_grasp = serve
+    assert (node.action.run(handle).end, called) == (end, [ends])
+
+
+def test_a_goal_is_rejected_while_another_is_served_or_the_node_stops(ros):
+    node = ros.module.ThinkGraspNode()
+    called: list[str] = []
+    handle = goal_handle(called)
     result = node.action.run(handle)
-    assert (result.end, called) == ("error", [ends]), "no joints were named"
+    assert (result.end, called) == ("error", ["abort"]), "no joints were named"
     node._server._at_work.acquire()
     assert node.action.accept(handle.request) == "reject"
+    node._server._at_work.release()
+    node.stop()
+    assert node.action.accept(handle.request) == "reject"
+
+
+def test_a_fault_of_ours_is_an_answer_and_the_node_goes_on(ros):
+    node = ros.module.ThinkGraspNode()
+
+    def broken(*args, **kw):
+        raise ZeroDivisionError("a bug")
+
+    node._server.find_grasp = node._server.clear_and_grasp = broken
+    request = Strict("thinkgrasp_interfaces/srv/FindGrasp_Request")
+    response = node.services["~/find_grasp"](request, Strict("thinkgrasp_interfaces/srv/FindGrasp_Response"))
+    assert (response.status, response.message[:14]) == ("error", "internal error")
+    called: list[str] = []
+    result = node.action.run(goal_handle(called))
+    assert (result.end, result.message[:14], called) == ("error", "internal error", ["abort"])
+    assert sum("ZeroDivisionError: a bug" in line for line in node.logged) == 2
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_a_signal_stops_the_motion_before_the_node_ends(ros, monkeypatch, stops):
+    """rclpy's own handlers would end all communication at once, and the arm would move on without it."""
+    handlers: dict[int, object] = {}
+    nodes: list = []
+    monkeypatch.setattr(ros.module.signal, "signal", lambda number, call: handlers.update({number: call}))
+    monkeypatch.setattr(ros.module, "_STOP_S", 0.05)
+    spins: list[bool] = []
+
+    class Executor:
+        def __init__(self, num_threads):
+            assert num_threads >= 4
+
+        def add_node(self, node):
+            nodes.append(node)
+            node._server._at_work.acquire()
+
+        def spin_once(self, timeout_sec):
+            spins.append(nodes[0].is_stopping)
+            if len(spins) == 2:
+                handlers[ros.module.signal.SIGINT]()  # type: ignore[operator]
+            if len(spins) == 5 and stops:
+                nodes[0]._server._at_work.release()
+
+    monkeypatch.setattr(ros.module, "MultiThreadedExecutor", Executor)
+    ros.module.main()
+    assert set(handlers) == {ros.module.signal.SIGINT, ros.module.signal.SIGTERM}
+    assert spins[:3] == [False, False, True]
+    assert ros.calls == [{"signal_handler_options": "no handlers"}, "shutdown"]
+    assert nodes[0].logged[-1] == "destroyed"
+    assert any("did not stop" in line for line in nodes[0].logged) == (not stops)
+    assert (len(spins) == 5) == stops

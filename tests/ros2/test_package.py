@@ -182,6 +182,8 @@ def test_the_page_has_every_parameter_with_its_default():
         ({"cameras": ()}, "name each camera once"),
         ({"cameras": ("a", "a")}, "name each camera once"),
         ({"gripper_open": 0.8}, "are both 0.8"),
+        ({"gripper_closed": float("nan")}, "gripper_closed must be finite"),
+        ({"held_margin": 1.0}, "held_margin must be less than 1"),
         ({"workspace": (0.0, 1.0)}, "workspace must be 6 finite numbers"),
         ({"workspace": (0.0, 0.0, 0.0, -1.0, 1.0, 1.0)}, "its lowest corner, then its highest"),
         ({"tcp_offset": (0.0,) * 7}, "unit quaternion"),
@@ -201,6 +203,12 @@ def test_parameters_out_of_range_are_named(change, said):
         ("planner", 3, "parameter planner must be a str, got 3"),
         ("velocity_scale", True, "parameter velocity_scale must be a float, got True"),
         ("joint_names", "a", "parameter joint_names must be a list, got 'a'"),
+        ("joint_names", [1, 2], "parameter joint_names must be a list of names, got 1 among them"),
+        ("cameras", [""], "parameter cameras must be a list of names, got '' among them"),
+        ("workspace", [0, 0, 0, 1, 1, "1"], "parameter workspace must be a list of numbers, got '1' among them"),
+        ("home_joints", [True], "parameter home_joints must be a list of numbers, got True among them"),
+        ("camera.rectified", "yes", "parameter camera.rectified must be a bool, got 'yes'"),
+        ("camera.depth_topic", 3, "parameter camera.depth_topic must be a str, got 3"),
     ],
 )
 def test_parameters_of_another_type_are_named(name, value, said):

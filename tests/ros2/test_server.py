@@ -12,6 +12,7 @@ from fakes.ros import (
     FakeGripper,
     FakeMessages,
     FakeMotions,
+    FakeScene,
     FakeTransforms,
     Strict,
     camera_info,
@@ -66,8 +67,11 @@ class Cell:
         self.cancelled = False
         self.feedback: list[Strict] = []
         self.on_motion = lambda n: None
-        make = lambda cancelled: MoveItRobot(self.told, FakeMessages(), self.motions, self.gripper, cancelled)  # noqa: E731
-        self.server = GraspServer(self.told, FakeMessages(), self.cameras, make, pipeline or fake_pipeline())
+        self.scene = FakeScene()
+        self.server = GraspServer(self.told, FakeMessages(), self.cameras, self._robot, pipeline or fake_pipeline())
+
+    def _robot(self, cancelled) -> MoveItRobot:
+        return MoveItRobot(self.told, FakeMessages(), self.motions, self.scene, self.gripper, cancelled)
 
     def _moved(self, n: int) -> None:
         self.on_motion(n)
@@ -183,8 +187,8 @@ def test_after_a_miss_it_looks_again_and_tries_another_grasp():
 @pytest.mark.parametrize(
     ("cell", "instruction", "limit", "end", "attempts"),
     [
-        ({"script": [-1] * 40}, "the red block", 2, "step_limit", 2),
-        ({"script": [-1] * 40, "step_limit": 3}, "the red block", 0, "step_limit", 3),
+        ({"script": [1] + [-1] * 40}, "the red block", 2, "step_limit", 2),
+        ({"script": [1] + [-1] * 40, "step_limit": 3}, "the red block", 0, "step_limit", 3),
         ({}, "the green block", 0, "nothing_left", 0),
         ({"pipeline": fake_pipeline(checks={"none": FakeCheck(2.0)})}, "the red block", 0, "no_grasp", 0),
     ],
@@ -215,6 +219,22 @@ def test_a_cancel_in_mid_motion_ends_the_episode_after_that_motion():
     assert (result.success, result.end, result.attempts) == (False, "stopped", 1)
     assert cell.feedback[0].outcome == "preempted"
     assert len(cell.motions.goals) == 2
+
+
+def test_an_action_begins_at_home_and_not_at_all_without_an_instruction():
+    cell = Cell()
+    first = cell.cameras[0].read
+    moved = []
+    cell.cameras[0].read = lambda: (moved.append(len(cell.motions.goals)), first())[1]  # type: ignore[method-assign]
+    cell.act("the red block")
+    assert moved[0] == 1, "the arm is out of the way before the first look"
+    assert cell.motions.goals[0].request.goal_constraints[0].joint_constraints[0].position == 0.0
+    empty = Cell()
+    assert empty.act(" ").end == "error"
+    assert not empty.motions.goals
+    stuck = Cell(script=[-1]).act("the red block")
+    assert (stuck.end, stuck.attempts) == ("error", 0)
+    assert "could not go home" in stuck.message
 
 
 def test_a_cancel_before_the_first_look():

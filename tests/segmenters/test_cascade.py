@@ -13,7 +13,7 @@ from thinkgrasp.segmenters.boxes import segment_of
 from thinkgrasp.segmenters.cascade import CascadeSegmenter
 from thinkgrasp.segmenters.geometric import GeometricSegmenter
 from thinkgrasp.testing import sample_scene, strict_scene
-from thinkgrasp.types import Degradation, Plan, PlannedObject, Scene, Segmentation
+from thinkgrasp.types import Degradation, Plan, PlannedObject, Scene, Segment, Segmentation
 
 H, W = 240, 320
 MUG, MUG_2, CUT, HANDLE = (40, 60, 120, 160), (200, 60, 260, 160), (0, 60, 50, 160), (110, 90, 130, 130)
@@ -41,7 +41,8 @@ class Scripted:
         for (x0, y0, x1, y1), score in (self.crop if cropped else self.whole).get(plan.target, []):
             mask = np.zeros((h, w), bool)
             mask[y0:y1, x0:x1] = True
-            segments.append(segment_of(mask, plan.target, score))
+            box, touches = (x0, y0, x1, y1), x0 == 0 or y0 == 0 or x1 == w or y1 == h
+            segments.append(Segment(plan.target, score, mask, box, touches))
         return Segmentation(tuple(segments))
 
 
@@ -75,7 +76,35 @@ class Case:
 
 
 NO_MUG = ("Scripted finds no 'red mug'", "'mug'")
+EVERYTHING, NOTHING_AT_ALL = (0, 0, W, H), (50, 50, 50, 50)
 OBJECTS = [
+    Case(
+        "a mask of everything is of no thing, whatever it scores",
+        {"red mug": [(EVERYTHING, 0.95)], "mug": [(MUG, 0.3)]},
+        ["red mug", "mug"],
+        [("mug", MUG)],
+        [("Scripted finds no 'red mug' but 1 covering more than 90% of the image", "'mug'")],
+    ),
+    Case(
+        "an empty mask is nothing",
+        {"red mug": [(NOTHING_AT_ALL, 0.9), (CUT, 0.4), (MUG, 0.3)]},
+        ["red mug"],
+        [("red mug", MUG)],
+        [
+            (
+                "of what Scripted finds for 'red mug', 1 with an empty mask and 1 cut by the border, scoring less "
+                "than 0.5",
+                "left out",
+            )
+        ],
+    ),
+    Case(
+        "of equal scores the first stays first",
+        {"red mug": [(MUG_2, 0.5), (MUG, 0.5)]},
+        ["red mug"],
+        [("red mug", MUG_2), ("red mug", MUG)],
+        [],
+    ),
     Case("the name is found", {"red mug": [(MUG, 0.8)]}, ["red mug"], [("red mug", MUG)], []),
     Case(
         "all masks, best first",
@@ -323,6 +352,30 @@ def test_a_part_of_a_mark_is_looked_for_in_its_crop_alone() -> None:
     assert said(nothing) == [("Scripted finds no 'mug handle' in the crop of 'mug'", GRID)]
 
 
+def test_without_crops_a_part_of_a_mark_is_not_looked_for() -> None:
+    parts = Scripted(crop={"mug handle": [((2, 2, 9, 9), 0.9)]})
+    plan = Plan("mug handle", "", kind="part", mark=3)
+    result = cascade(Scripted(), parts, crop_then_prompt=False).segment(sample_scene(), plan)
+    assert parts.asked == []
+    assert [s.mark for s in result.segments] == [3]
+    assert said(result) == [("no part of a mark is looked for where crop_then_prompt is off", GRID)]
+
+
+def test_so_many_alternatives_are_asked_for_and_no_more() -> None:
+    for most, asked in ((0, []), (1, ["pan"]), (2, ["pan", "spoon"]), (9, ["pan", "spoon"])):
+        objects = Scripted()
+        cascade(objects, max_alternatives=most).segment(strict_scene(), Plan("red mug", "", objects=OTHERS))
+        assert objects.asked == ["red mug", "mug", *asked]
+
+
+def test_a_part_that_is_everything_is_looked_for_in_the_crop() -> None:
+    objects = Scripted(whole={"red mug": [(MUG, 0.8)]})
+    parts = Scripted(whole={PART.target: [(EVERYTHING, 0.9)]}, crop={PART.target: [(IN_CROP, 0.8)]})
+    result = cascade(objects, parts).segment(strict_scene(), PART)
+    assert shown(result) == [(PART.target, (110, 90, 120, 130))]
+    assert said(result) == [(f"{NO_HANDLE} but 1 covering more than 90% of the image", CROP)]
+
+
 def test_what_a_segmenter_says_of_itself_is_passed_on() -> None:
     class Talkative(Scripted):
         def segment(self, scene: Scene, plan: Plan) -> Segmentation:
@@ -368,6 +421,7 @@ class TestMaking:
             ({"crop_margin": -0.1}, "crop_margin"),
             ({"max_alternatives": -1}, "max_alternatives"),
             ({"border_score": 1.5}, r"border_score must lie in \[0, 1\]"),
+            ({"max_share": 0.0}, r"max_share must lie in \(0, 1\]"),
         ],
     )
     def test_settings_are_checked(self, settings: dict[str, object], message: str) -> None:

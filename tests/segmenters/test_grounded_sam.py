@@ -23,6 +23,10 @@ class ScriptedDetector:
     def __init__(self, **boxes: list[tuple[float, ...]]) -> None:
         self.boxes = boxes
         self.asked: list[list[str]] = []
+        self.text_limit = 4
+
+    def unread(self, phrase):
+        return " ".join(phrase.split()[self.text_limit :])
 
     def detect(self, image, phrases):
         self.asked.append(list(phrases))
@@ -60,6 +64,17 @@ def test_text_becomes_masks_with_the_detections_scores():
     assert [s.touches_border for s in found.segments] == [False, False, True]
     assert {s.label for s in found.segments} == {"mug"}
     assert found.degraded == ()
+
+
+@pytest.mark.parametrize(("target", "most"), [("mug", 3), ("a big red mug with a handle", 0)])
+def test_a_text_beyond_the_limit_is_said_to_be_cut(target, most):
+    found = scripted().segment(strict_scene(), Plan(target, ""))
+    assert len(found.segments) == most
+    said = [(d.reason, d.fallback) for d in found.degraded]
+    cut = ("the text is longer than the 4 tokens that are read; not read: 'with a handle'", "the text before that")
+    assert said == ([] if most else [cut, (f"no box answers to {target!r}", "no segment")])
+    marked = scripted().segment(sample_scene(), Plan("a big red mug with a handle", "", mark=1))
+    assert marked.degraded == (), "a mark needs no text"
 
 
 def test_at_most_so_many():

@@ -161,8 +161,30 @@ def test_thresholds_and_overlap_remove_what_they_say(everything):
 
 
 def test_a_phrase_longer_than_the_network_reads_is_cut(everything):
-    (found,) = everything.detect(picture(224, 224), ["mug " * 200])
+    (found,) = everything.detect(picture(224, 224), ["mug " * 300])
     assert np.isfinite(found.boxes).all()
+    limit = everything.text_limit
+    words = [f"mug{i % 7}" for i in range(limit)]
+    (read,) = (len(everything._offsets(" ".join(words))),)
+    assert read == limit
+    assert everything.unread("A red mug.") == ""
+    rest = everything.unread(" ".join(words))
+    assert rest.endswith("...")
+    assert rest[:-3] in " ".join(words)
+
+
+def test_phrases_that_do_not_fit_into_one_caption_are_asked_in_several():
+    """Not cut: the last would find nothing, and nothing would say why."""
+    image = picture(224, 224)
+    dino = detector(box_threshold=0.0, text_threshold=0.0, max_iou=1.0, together=True)
+    per_word = len(dino._offsets("mug mug")) - len(dino._offsets("mug"))
+    phrases = [f"{word} " * (dino.text_limit * 6 // 10 // per_word) for word in ("mug", "gum", "mug")]
+    calls = count_calls(dino._model.model.encoder)
+    found = dino.detect(image, phrases)
+    assert [len(one.boxes) > 0 for one in found] == [True] * 3
+    assert len(calls) < 3, "captions run in batches"
+    assert all(dino.unread(phrase) == "" for phrase in phrases)
+    assert dino.detect(image, []) == ()
 
 
 def test_half_precision(everything):

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from thinkgrasp.segmenters.phrases import Caption, clean
+from thinkgrasp.segmenters.phrases import Caption, clean, unread
 
 
 def words(text: str) -> list[tuple[int, int]]:
@@ -58,3 +58,19 @@ def test_word_pieces_belong_to_their_word_and_full_stops_to_no_one():
 def test_what_was_cut_off_owns_nothing():
     assert Caption.of(["mug", "box"]).tokens([(0, 0), (0, 3), (3, 4), (0, 0)]) == ((1,), ())
     assert Caption.of([""]).tokens([(0, 0), (0, 1), (0, 0)]) == ((),)
+
+
+@pytest.mark.parametrize(
+    ("text", "offsets", "rest"),
+    [
+        ("red mug.", [(0, 0), (0, 3), (4, 7), (7, 8), (0, 0)], ""),
+        ("red mug.", [(0, 0), (0, 3), (4, 7), (0, 0)], ""),
+        ("red mug.", [(0, 0), (0, 3), (0, 0)], "mug"),
+        ("red mugs.", [(0, 0), (0, 3), (4, 7), (0, 0)], "s"),
+        ("red mug.", [], "red mug"),
+        ("", [(0, 0)], ""),
+        ("a " + 80 * "b", [(0, 1)], 60 * "b" + "..."),
+    ],
+)
+def test_what_was_not_read(text, offsets, rest):
+    assert unread(text, offsets) == rest

@@ -216,3 +216,15 @@ class TestSegmenter:
     def test_settings_are_checked(self, settings):
         with pytest.raises(ConfigError, match=r"sam3|SAM 3"):
             Sam3Segmenter(**settings)
+
+
+def test_a_text_beyond_the_limit_is_said_to_be_cut():
+    segmenter = Sam3Segmenter(model=network())
+    short = segmenter.segment(strict_scene(), Plan("red mug", ""))
+    assert short.degraded == ()
+    words = " ".join(f"mug{i}" for i in range(40))
+    found = segmenter.segment(strict_scene(), Plan(words, ""))
+    (said,) = found.degraded
+    assert said.reason.startswith("the text is longer than the 32 tokens that are read; not read: '")
+    assert said.fallback == "the text before that"
+    assert segmenter.network.unread(words).rstrip(".") in words

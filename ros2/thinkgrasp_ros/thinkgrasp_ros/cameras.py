@@ -12,10 +12,12 @@ from thinkgrasp.errors import InputError
 from thinkgrasp.geometry import apply, deproject
 from thinkgrasp.types import Frame
 from thinkgrasp_ros.images import color_image, depth_image, intrinsics, stamp_ns
-from thinkgrasp_ros.interface import Clock, Message, Transforms
+from thinkgrasp_ros.interface import Clock, Message, Transform, Transforms
 from thinkgrasp_ros.parameters import CameraParameters, Parameters
 
 _MAX_AHEAD_NS = 1_000_000_000
+_UPWARDS = 0.3
+"""Sine of an angle above the horizon at which no camera looks that sees a table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +26,7 @@ class _Set:
     depth: Message
     info: Message
     stamp_ns: int
+    """When the older of the two images was taken."""
 
 
 class TopicCamera:
@@ -58,7 +61,7 @@ class TopicCamera:
         """Wait for images taken after the call, and return them as a frame.
 
         Raises:
-            InputError: None came in time, they cannot be used, or the camera's pose is not known.
+            InputError: None came in time, they cannot be used, or the camera's pose is not known or looks upwards.
         """
         found = self._wait(self._clock.now_ns())
         source = found.color.header.frame_id
@@ -66,7 +69,7 @@ class TopicCamera:
             color_image(found.color),
             depth_image(found.depth),
             intrinsics(found.info, rectified=self.camera.rectified),
-            self._transforms.lookup(self._parameters.world_frame, source, found.stamp_ns),
+            self._pose(source, found.stamp_ns),
         )
         if not len(self._parameters.workspace):
             return frame
@@ -75,6 +78,16 @@ class TopicCamera:
         with np.errstate(invalid="ignore"):
             inside = np.asarray(((world > low) & (world < high)).all(axis=-1), np.bool_)
         return Frame(frame.color, frame.depth, frame.camera, frame.T_world_camera, inside)
+
+    def _pose(self, source: str, ns: int) -> Transform:
+        T = self._transforms.lookup(self._parameters.world_frame, source, ns)
+        if T[2, 2] > _UPWARDS:
+            raise InputError(
+                f"camera {self.camera.name!r}: z of its frame {source!r} points upwards in "
+                f"{self._parameters.world_frame!r}: images must be in an optical frame (REP 103: z forward, x right), "
+                "and z of world_frame must be up"
+            )
+        return T
 
     def _checked(self, color: Message, depth: Message, info: Message) -> _Set:
         name, slop_ns = self.camera.name, self._parameters.sync_slop_s * 1e9
@@ -90,7 +103,7 @@ class TopicCamera:
                 f"camera {name!r}: colour, depth and camera_info are in different frames, {', '.join(sorted(frames))}; "
                 "depth must be aligned to colour (realsense2_camera: align_depth.enable)"
             )
-        return _Set(color, depth, info, times[0])
+        return _Set(color, depth, info, min(times[:2]))
 
     def _wait(self, since_ns: int) -> _Set:
         deadline = time.monotonic() + self._parameters.image_timeout_s

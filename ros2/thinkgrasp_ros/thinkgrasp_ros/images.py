@@ -75,14 +75,15 @@ def intrinsics(message: Message, *, rectified: bool = False) -> CameraIntrinsics
     """
     where = f"camera_info of frame {message.header.frame_id!r}"
     roi = message.roi
-    if message.binning_x > 1 or message.binning_y > 1 or any((roi.x_offset, roi.y_offset, roi.height, roi.width)):
+    whole = (roi.width, roi.height) in ((0, 0), (message.width, message.height))
+    if message.binning_x > 1 or message.binning_y > 1 or roi.x_offset or roi.y_offset or not whole:
         raise InputError(f"{where} is of a binned or cut-out image, which is not taken: publish the full image")
     K = np.array(message.k, np.float64).reshape(3, 3)
     D = np.array(message.d, np.float64)
     if rectified:
         P = np.array(message.p, np.float64).reshape(3, 4)
         R = np.array(message.r, np.float64).reshape(3, 3)
-        if np.abs(P[:, 3]).max() > 1e-9:
+        if not np.abs(P[:, 3]).max() <= 1e-9:
             raise InputError(f"{where} is of the second camera of a stereo pair (P has an offset); take the first")
         if R.any() and not np.allclose(R, np.eye(3), atol=1e-6):
             raise InputError(f"{where} turns the image to rectify it (R), so that its frame is not the image's")

@@ -76,6 +76,18 @@ class MotionClient(Protocol):
         ...
 
 
+class SceneClient(Protocol):
+    """MoveIt's service apply_planning_scene."""
+
+    def apply(self, scene: Message) -> bool:
+        """Apply a PlanningScene message and return whether MoveIt took all of it.
+
+        Raises:
+            RobotFault: No server, or no answer in time.
+        """
+        ...
+
+
 class GripperClient(Protocol):
     """A GripperCommand action."""
 

@@ -8,11 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thinkgrasp.errors import ConfigError, InputError
-from thinkgrasp.geometry import invert, quat_wxyz
+from thinkgrasp.geometry import invert, make_transform, quat_wxyz
+from thinkgrasp_ros.held import HeldBox
 from thinkgrasp_ros.interface import Message, Messages, RobotFault, Transform
 from thinkgrasp_ros.parameters import Parameters
 
+_HELD = "thinkgrasp_held"
+_REMOVE = bytes([1])
+"""CollisionObject.REMOVE; a byte of ROS is bytes of length one in Python."""
 SUCCESS = 1
+TIMED_OUT = -6
+CONTROL_FAILED = -4
 
 OUTCOMES = {
     -1: "unreachable",  # PLANNING_FAILED
@@ -27,9 +33,10 @@ OUTCOMES = {
     -3: "collision",  # MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
     -7: "preempted",  # PREEMPTED
 }
-"""What an attempt can expect; the loop goes on with another grasp, except after "preempted"."""
+"""What an attempt can expect; the loop goes on with another grasp, but for "preempted", see `MoveItRobot`."""
 
 MISTAKES = {
+    0: ("UNDEFINED", "pipeline or straight_pipeline"),  # left so where move_group knows no such pipeline
     -15: ("INVALID_GROUP_NAME", "group"),
     -16: ("INVALID_GOAL_CONSTRAINTS", "tcp_link, planner or straight_planner"),
     -17: ("INVALID_ROBOT_STATE", "joint_names"),
@@ -160,6 +167,56 @@ def gripper_goal(messages: Messages, parameters: Parameters, width_m: float) -> 
     goal.command.position = float(parameters.gripper_position(width_m))
     goal.command.max_effort = float(parameters.gripper_effort)
     return goal
+
+
+def scene_holding(messages: Messages, parameters: Parameters, box: HeldBox) -> Message:
+    """Return a PlanningScene difference that hangs a box to the link that goals are for."""
+    T_link_box = parameters.T_link_tcp @ make_transform(np.eye(3), box.middle)
+    attached = _held(messages, parameters)
+    thing = attached.object
+    thing.header.frame_id = parameters.tcp_link
+    place, turn = thing.pose.position, thing.pose.orientation
+    place.x, place.y, place.z = (float(v) for v in T_link_box[:3, 3])
+    turn.w, turn.x, turn.y, turn.z = (float(v) for v in quat_wxyz(T_link_box[:3, :3]))
+    block = messages.new("shape_msgs/msg/SolidPrimitive")
+    block.type = 1  # BOX
+    block.dimensions = [float(side) for side in box.sides]
+    middle = messages.new("geometry_msgs/msg/Pose")
+    middle.orientation.w = 1.0
+    thing.primitives, thing.primitive_poses = [block], [middle]
+    attached.touch_links = [parameters.tcp_link, *parameters.touch_links]
+    scene = _scene_difference(messages)
+    scene.robot_state.attached_collision_objects = [attached]
+    return scene
+
+
+def scene_empty_handed(messages: Messages, parameters: Parameters) -> Message:
+    """Return a PlanningScene difference that takes what `scene_holding` hung there off, and out of the world.
+
+    MoveIt puts what is taken off where it was left, as an obstacle; in one message it does so before it looks at the
+    world's objects.
+    """
+    attached = _held(messages, parameters)
+    attached.object.operation = _REMOVE
+    left = messages.new("moveit_msgs/msg/CollisionObject")
+    left.id, left.operation = _HELD, _REMOVE
+    scene = _scene_difference(messages)
+    scene.robot_state.attached_collision_objects = [attached]
+    scene.world.collision_objects = [left]
+    return scene
+
+
+def _held(messages: Messages, parameters: Parameters) -> Message:
+    attached = messages.new("moveit_msgs/msg/AttachedCollisionObject")
+    attached.link_name = parameters.tcp_link
+    attached.object.id = _HELD
+    return attached
+
+
+def _scene_difference(messages: Messages) -> Message:
+    scene = messages.new("moveit_msgs/msg/PlanningScene")
+    scene.is_diff = scene.robot_state.is_diff = True
+    return scene
 
 
 def obstacle_cubes(

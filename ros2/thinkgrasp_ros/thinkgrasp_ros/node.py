@@ -5,7 +5,10 @@ Not run where this was written, for want of ROS: see docs/ros2.md.
 
 from __future__ import annotations
 
+import signal
 import threading
+import time
+import traceback
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any
@@ -15,6 +18,7 @@ import rclpy.logging
 from control_msgs.action import GripperCommand
 from message_filters import ApproximateTimeSynchronizer, Subscriber
 from moveit_msgs.action import MoveGroup
+from moveit_msgs.srv import ApplyPlanningScene
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
@@ -22,6 +26,7 @@ from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 from tf2_ros import Buffer, TransformException, TransformListener
@@ -32,6 +37,7 @@ from thinkgrasp.errors import ThinkGraspError
 from thinkgrasp_ros.cameras import TopicCamera
 from thinkgrasp_ros.images import transform_matrix
 from thinkgrasp_ros.interface import GripperState, Message, RobotFault, Transform, TransformUnavailable
+from thinkgrasp_ros.moveit import CONTROL_FAILED, TIMED_OUT
 from thinkgrasp_ros.parameters import Parameters
 from thinkgrasp_ros.robot import MoveItRobot
 from thinkgrasp_ros.server import GraspServer
@@ -39,6 +45,10 @@ from thinkgrasp_ros.server import GraspServer
 _POLL_S = 0.02
 _CONNECT_S = 5.0
 _QUEUE = 10
+_LOOK_S = 0.1
+_STOP_S = 8.0
+"""A launch file kills ten seconds after Ctrl-C."""
+_INTERNAL = "internal error, see the node's log; look at the robot before you go on"
 _STATUS_SUCCEEDED = 4  # action_msgs/msg/GoalStatus.STATUS_SUCCEEDED
 
 
@@ -86,18 +96,23 @@ class RosTransforms:
 class _Client:
     """Sends a goal, waits for its result, and cancels it when asked to; called from worker threads only."""
 
-    def __init__(self, node: Node, kind: Any, name: str, timeout_s: float, what: str) -> None:
+    def __init__(
+        self, node: Node, kind: Any, name: str, timeout_s: float, what: str, *, stops_in_s: float = 0.0
+    ) -> None:
         self._client = ActionClient(node, kind, name, callback_group=ReentrantCallbackGroup())
         self._name = name
         self._timeout_s = timeout_s
         self._what = what
+        self._stops_in_s = _CONNECT_S + stops_in_s
 
     def send(self, goal: Message, cancelled: Callable[[], bool]) -> Any:
         """Return the result with its status."""
         if not self._client.wait_for_server(timeout_sec=_CONNECT_S):
             raise RobotFault(f"no action server {self._name} ({self._what}); is it started, and the name right?")
-        handle = _wait(self._client.send_goal_async(goal), _CONNECT_S, lambda: False)
+        answer = self._client.send_goal_async(goal)
+        handle = _wait(answer, _CONNECT_S, lambda: False)
         if handle is None:
+            answer.add_done_callback(_cancel)  # accepted later, it would move with nobody waiting for it
             raise RobotFault(f"{self._name} ({self._what}) did not answer in {_CONNECT_S:g} s")
         if not handle.accepted:
             raise RobotFault(f"{self._name} ({self._what}) rejects the goal")
@@ -105,7 +120,7 @@ class _Client:
         found = _wait(future, self._timeout_s, cancelled)
         if found is None:
             handle.cancel_goal_async()
-            found = _wait(future, _CONNECT_S, lambda: False)
+            found = _wait(future, self._stops_in_s, lambda: False)
             if not cancelled():
                 raise RobotFault(f"{self._name} ({self._what}) was not done in {self._timeout_s:g} s; it was cancelled")
         if found is None:
@@ -117,11 +132,44 @@ class RosMotions(_Client):
     """MoveIt's move_group."""
 
     def __init__(self, node: Node, parameters: Parameters) -> None:
-        super().__init__(node, MoveGroup, parameters.move_group_action, parameters.motion_timeout_s, "MoveIt")
+        super().__init__(
+            node,
+            MoveGroup,
+            parameters.move_group_action,
+            parameters.motion_timeout_s,
+            "MoveIt",
+            stops_in_s=parameters.planning_time_s,  # a planner is not interrupted
+        )
 
     def move(self, goal: Message, cancelled: Callable[[], bool]) -> int:
-        """Carry out a goal, as `MotionClient.move`."""
-        return int(self.send(goal, cancelled).result.error_code.val)
+        """Carry out a goal, as `MotionClient.move`.
+
+        MoveIt says TIMED_OUT of planners, and of a controller that did not bring the arm along in time; where there
+        was a plan it is the latter, and CONTROL_FAILED is returned.
+        """
+        result = self.send(goal, cancelled).result
+        code = int(result.error_code.val)
+        planned = len(result.planned_trajectory.joint_trajectory.points) > 0
+        return CONTROL_FAILED if code == TIMED_OUT and planned else code
+
+
+class RosScene:
+    """MoveIt's planning scene."""
+
+    def __init__(self, node: Node, parameters: Parameters) -> None:
+        self._name = parameters.scene_service
+        self._client = node.create_client(ApplyPlanningScene, self._name, callback_group=ReentrantCallbackGroup())
+
+    def apply(self, scene: Message) -> bool:
+        """Apply a difference, as `SceneClient.apply`."""
+        if not self._client.wait_for_service(timeout_sec=_CONNECT_S):
+            raise RobotFault(f"no service {self._name} (MoveIt); is it started, and the name right?")
+        request = ApplyPlanningScene.Request()
+        request.scene = scene
+        answer = _wait(self._client.call_async(request), _CONNECT_S, lambda: False)
+        if answer is None:
+            raise RobotFault(f"{self._name} (MoveIt) did not answer in {_CONNECT_S:g} s")
+        return bool(answer.success)
 
 
 class RosGripper(_Client):
@@ -149,16 +197,18 @@ class ThinkGraspNode(Node):
         messages, clock = RosMessages(), RosClock(self)
         transforms = RosTransforms(self, self._parameters.tf_timeout_s)
         motions, gripper = RosMotions(self, self._parameters), RosGripper(self, self._parameters)
+        scene = RosScene(self, self._parameters)
         cameras = [TopicCamera(c, self._parameters, transforms, clock) for c in self._parameters.camera_parameters]
         self._synchronisers = [self._subscribe(camera) for camera in cameras]
         self._server = GraspServer(
             self._parameters,
             messages,
             cameras,
-            lambda cancelled: MoveItRobot(self._parameters, messages, motions, gripper, cancelled),
+            lambda cancelled: MoveItRobot(self._parameters, messages, motions, scene, gripper, cancelled),
         )
+        self._stopping = threading.Event()
         group = ReentrantCallbackGroup()
-        self.create_service(FindGrasp, "~/find_grasp", self._server.find_grasp, callback_group=group)
+        self.create_service(FindGrasp, "~/find_grasp", self._find_grasp, callback_group=group)
         self._action = ActionServer(
             self,
             ClearAndGrasp,
@@ -168,9 +218,25 @@ class ThinkGraspNode(Node):
             cancel_callback=lambda handle: CancelResponse.ACCEPT,
             callback_group=group,
         )
+        if not self._parameters.touch_links:
+            self.get_logger().warning("the parameter touch_links is empty: MoveIt is not told what is held")
         self.get_logger().info(
             f"ready: preset {self._parameters.preset}, cameras {', '.join(self._parameters.cameras)}"
         )
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether `stop` was called."""
+        return self._stopping.is_set()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a request is being served."""
+        return self._server.is_busy
+
+    def stop(self) -> None:
+        """Cancel what is being done, the motion in progress included; callbacks must go on being run meanwhile."""
+        self._stopping.set()
 
     def _parameter(self, name: str, default: Any) -> Any:
         # An empty list has no type of its own in rclpy, and a file may write 1 for 1.0: Parameters checks both.
@@ -189,28 +255,48 @@ class ThinkGraspNode(Node):
         return synchroniser
 
     def _accept(self, request: Message) -> GoalResponse:
-        if self._server.is_busy:
+        if self.is_busy or self.is_stopping:
             self.get_logger().warning("a goal is rejected: another request is being served")
             return GoalResponse.REJECT
         return GoalResponse.ACCEPT
 
+    def _find_grasp(self, request: Message, response: Message) -> Message:
+        try:
+            return self._server.find_grasp(request, response)
+        except Exception:  # rclpy would end the node
+            self.get_logger().error(traceback.format_exc())
+            response.status, response.message = "error", _INTERNAL
+            return response
+
     def _clear_and_grasp(self, handle: Any) -> Message:
-        result = self._server.clear_and_grasp(
-            handle.request,
-            ClearAndGrasp.Result(),
-            cancelled=lambda: handle.is_cancel_requested or not rclpy.ok(),
-            publish=handle.publish_feedback,
-        )
+        result = ClearAndGrasp.Result()
+        try:
+            self._server.clear_and_grasp(
+                handle.request,
+                result,
+                cancelled=lambda: handle.is_cancel_requested or self.is_stopping,
+                publish=handle.publish_feedback,
+            )
+        except Exception:  # rclpy would answer with an empty result
+            self.get_logger().error(traceback.format_exc())
+            result.success, result.end, result.message = False, "error", _INTERNAL
         self.get_logger().info(
             f"{handle.request.instruction!r}: {result.end} after {result.attempts}: {result.message}"
         )
-        if handle.is_cancel_requested:
-            handle.canceled()
-        elif result.end == "error":
+        if result.end == "error" or self.is_stopping:
             handle.abort()
+        elif handle.is_cancel_requested:
+            handle.canceled()
         else:
             handle.succeed()
         return result
+
+
+def _cancel(answer: Any) -> None:
+    """Cancel a goal whose acceptance was not waited for any longer."""
+    handle = answer.result()
+    if handle is not None and handle.accepted:
+        handle.cancel_goal_async()
 
 
 def _wait(future: Any, timeout_s: float, cancelled: Callable[[], bool]) -> Any:
@@ -226,20 +312,29 @@ def _wait(future: Any, timeout_s: float, cancelled: Callable[[], bool]) -> Any:
 
 
 def main() -> None:
-    """Run the node until it is told to stop."""
-    rclpy.init()
+    """Run the node until it is told to stop; then cancel what moves, and wait until it stands."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # its own end all communication before the arm stands
     try:
         node = ThinkGraspNode()
     except ThinkGraspError as error:
         rclpy.logging.get_logger("thinkgrasp").fatal(str(error))
         rclpy.try_shutdown()
         raise SystemExit(2) from None
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: node.stop())
     executor = MultiThreadedExecutor(num_threads=6)
     executor.add_node(node)
     try:
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
+        while not node.is_stopping:
+            executor.spin_once(timeout_sec=_LOOK_S)
+        deadline = time.monotonic() + _STOP_S
+        while node.is_busy and time.monotonic() < deadline:
+            executor.spin_once(timeout_sec=_LOOK_S)
+        if node.is_busy:
+            node.get_logger().error(f"what was being done did not stop in {_STOP_S:g} s: look at the robot")
+    except ExternalShutdownException:
         pass
     finally:
+        node.stop()
         node.destroy_node()
         rclpy.try_shutdown()

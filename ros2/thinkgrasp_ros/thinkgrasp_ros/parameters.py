@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Self
+from typing import Any, Self, SupportsFloat
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from thinkgrasp_ros.interface import Transform
 
 Lookup = Callable[[str, Any], Any]
 """Declares a parameter with its default and returns its value."""
+_NAMES = ("cameras", "settings", "joint_names", "touch_links")
+"""Lists of text; all others hold numbers."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +33,14 @@ class CameraParameters:
     @classmethod
     def read(cls, name: str, lookup: Lookup) -> Self:
         """Read `<name>.color_topic` and so on; by default the topics of realsense2_camera with aligned depth."""
-        return cls(
-            name,
-            lookup(f"{name}.color_topic", f"/{name}/color/image_raw"),
-            lookup(f"{name}.depth_topic", f"/{name}/aligned_depth_to_color/image_raw"),
-            lookup(f"{name}.info_topic", f"/{name}/color/camera_info"),
-            lookup(f"{name}.rectified", False),
-        )
+        defaults = {
+            "color_topic": f"/{name}/color/image_raw",
+            "depth_topic": f"/{name}/aligned_depth_to_color/image_raw",
+            "info_topic": f"/{name}/color/camera_info",
+            "rectified": False,
+        }
+        found = {f"{name}.{key}": (lookup(f"{name}.{key}", default), default) for key, default in defaults.items()}
+        return cls(name, *(_typed(key, value, default) for key, (value, default) in found.items()))
 
 
 @dataclass(frozen=True)
@@ -67,10 +70,13 @@ class Parameters:
     tf_timeout_s: float = 0.5
 
     move_group_action: str = "/move_action"
+    scene_service: str = "/apply_planning_scene"
     group: str = "manipulator"
     tcp_link: str = "tool0"
     tcp_offset: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     """Pose of the TCP (between the fingertips, z approach, x closing) in `tcp_link`: x y z, quaternion x y z w."""
+    touch_links: Sequence[str] = ()
+    """Of the gripper, which what is held touches; empty = MoveIt is not told what is held."""
     planner: str = "RRTstar"
     pipeline: str = "ompl"
     straight_planner: str = "LIN"
@@ -122,11 +128,24 @@ class Parameters:
         for name in ("step_limit", "planning_attempts", "max_obstacles"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"parameter {name} must be at least 1, got {getattr(self, name)}")
-        for name in ("world_frame", "group", "tcp_link", "planner", "move_group_action", "gripper_action"):
+        for name in (
+            "world_frame",
+            "group",
+            "tcp_link",
+            "planner",
+            "move_group_action",
+            "scene_service",
+            "gripper_action",
+        ):
             if not getattr(self, name):
                 raise ConfigError(f"parameter {name} must not be empty")
         if not self.cameras or len(set(self.cameras)) != len(self.cameras):
             raise ConfigError(f"parameter cameras must name each camera once, got {list(self.cameras)}")
+        for name in ("gripper_open", "gripper_closed"):
+            if not math.isfinite(getattr(self, name)):
+                raise ConfigError(f"parameter {name} must be finite, got {getattr(self, name)}")
+        if self.held_margin >= 1:
+            raise ConfigError(f"parameter held_margin must be less than 1, got {self.held_margin}")
         if self.gripper_open == self.gripper_closed:
             raise ConfigError(f"parameters gripper_open and gripper_closed are both {self.gripper_open}")
         self._check_arrays()
@@ -163,6 +182,10 @@ class Parameters:
         share = 1 - min(max(width_m / self.stroke_m, 0.0), 1.0)
         return self.gripper_open + share * (self.gripper_closed - self.gripper_open)
 
+    def opening_m(self, position: float) -> float:
+        """Return the opening [m] at a controller's position: what `gripper_position` is of."""
+        return self.stroke_m * (self.gripper_closed - position) / (self.gripper_closed - self.gripper_open)
+
     def is_closed(self, position: float) -> bool:
         """Whether a gripper that stopped at this position has nothing between its fingers."""
         return (position - self.gripper_open) / (self.gripper_closed - self.gripper_open) >= 1 - self.held_margin
@@ -188,9 +211,20 @@ def _typed(name: str, value: Any, default: Any) -> Any:
     if isinstance(default, list):
         if isinstance(value, str | bytes | Mapping) or not hasattr(value, "__iter__"):
             raise ConfigError(f"parameter {name} must be a list, got {value!r}")
-        return tuple(value)
+        return tuple(_element(name, item) for item in value)
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if type(value) is not type(default):
         raise ConfigError(f"parameter {name} must be a {type(default).__name__}, got {value!r}")
     return value
+
+
+def _element(name: str, item: Any) -> Any:
+    """An element of a list as its parameter's: names, or numbers; numpy's as Python's own."""
+    if name in _NAMES:
+        if not isinstance(item, str) or not item:
+            raise ConfigError(f"parameter {name} must be a list of names, got {item!r} among them")
+        return item
+    if isinstance(item, bool | str) or not isinstance(item, SupportsFloat):
+        raise ConfigError(f"parameter {name} must be a list of numbers, got {item!r} among them")
+    return float(item)

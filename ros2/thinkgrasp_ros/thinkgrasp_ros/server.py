@@ -11,7 +11,7 @@ from thinkgrasp.errors import ConfigError, ThinkGraspError
 from thinkgrasp.fusion import fuse
 from thinkgrasp.geometry import apply, quat_wxyz
 from thinkgrasp.loop import END_WORDS, Fusion, run_episode
-from thinkgrasp.pipeline import Pipeline
+from thinkgrasp.pipeline import Pipeline, check_instruction
 from thinkgrasp.schema import decision_to_schema
 from thinkgrasp.types import Decision, Frame, Grasp, Outcome
 from thinkgrasp_ros.cameras import TopicCamera
@@ -109,7 +109,7 @@ class GraspServer:
         cancelled: Callable[[], bool],
         publish: Callable[[Message], None],
     ) -> Message:
-        """Carry out a ClearAndGrasp goal with the loop of `thinkgrasp.loop` and fill in its result.
+        """Carry out a ClearAndGrasp goal with the loop of `thinkgrasp.loop`, from home, and fill in its result.
 
         Args:
             goal: What was asked.
@@ -121,11 +121,14 @@ class GraspServer:
             return _failed(result, BUSY)
         attempts = _Feedback(self._messages, publish)
         try:
+            instruction = check_instruction(goal.instruction)
+            robot = self._make_robot(cancelled)
+            robot.go_home()
             episode = run_episode(
                 self._cameras,
                 self._pipeline,
-                self._make_robot(cancelled),
-                goal.instruction,
+                robot,
+                instruction,
                 step_limit=int(goal.step_limit) or self._parameters.step_limit,
                 recorders=[attempts],
                 stop=cancelled,

@@ -296,7 +296,7 @@ class _View:
             degree[order[key.rank - 1]] = 1.0
         else:
             out.notes.append(f"only {len(order)} candidates for number {key.rank} {key.key}")
-        self._apply(out, key.key, degree)
+        self._apply(out, key.key if key.rank == 1 else f"number {key.rank} {key.key}", degree)
 
     def _relation(self, relation: RelationWish, out: _Scored) -> None:
         degrees: list[Float] = []

@@ -307,7 +307,7 @@ class _Parser:
     def _part(self, i: int) -> int | None:
         """Read "by its handle", "the handle of the mug", "the mug's handle"; return the index after it."""
         lexeme = self.lexemes[i]
-        if not lexeme.has("part") or lexeme.has("name"):
+        if not lexeme.has("part") or (lexeme.has("name") and not self._of_a_thing(i)):
             return None
         before = [x.text for x in self.lexemes[max(0, i - 2) : i]]
         after = self.lexemes[i + 1].text if i + 1 < len(self.lexemes) else ""
@@ -316,8 +316,18 @@ class _Parser:
         owned = self.last_name_at == i - 1 and self.last_name_at >= 0 and not lexeme.has("view")
         if not (marked or of_what or owned):
             return None
+        if of_what and not self.thing.has_noun:  # "the red cap of the bottle": what was said so far is the part's
+            self.thing = replace(self.thing, colors=(), shapes=(), sizes=())
+            self.tone = ""
         self.thing = replace(self.thing, part=self.thing.part or lexeme.text)
         return i + (2 if of_what else 1)
+
+    def _of_a_thing(self, i: int) -> bool:
+        """Whether "of" and the name of a thing follow: "the lid of the bottle" is a part, though a lid is a thing."""
+        if i + 1 >= len(self.lexemes) or self.lexemes[i + 1].text != "of":
+            return False
+        what = next((x for x in self.lexemes[i + 2 :] if not x.has("noise", "color", "tone", "size", "shape")), None)
+        return what is not None and what.has("name")
 
     def _detail(self, i: int) -> int | None:
         """Skip "with a white cap": the colour of a part is not that of the thing."""

@@ -110,8 +110,16 @@ def read(text: str, vocabulary: Vocabulary | None = None) -> list[list[Lexeme]]:
     return [_match(tokens, vocabulary) for tokens in tokenise(text)]
 
 
+def _corrected(tokens: list[str], vocabulary: Vocabulary) -> list[str]:
+    """Mend typos; not where at least as many words stay strange, for that is another language, or nonsense."""
+    mended = [vocabulary.correct(t) for t in tokens]
+    strange = [t for t in mended if t.isalpha() and t not in vocabulary.words and t not in vocabulary.protected]
+    words = sum(t.isalpha() for t in tokens)
+    return tokens if 2 * len(strange) >= words else mended
+
+
 def _match(tokens: list[str], vocabulary: Vocabulary) -> list[Lexeme]:
-    tokens = [vocabulary.correct(t) for t in tokens]
+    tokens = _corrected(tokens, vocabulary)
     lexemes: list[Lexeme] = []
     i = 0
     while i < len(tokens):

@@ -164,7 +164,8 @@ class OfflinePlanner:
             return self._take_goal(scene, query, grounding, fitting[0], memory)
         if hider is None:
             reason = f"{missing}, and nothing that could hide it; in view: {self._in_view(scene)}"
-            plan = self._nothing(query, reason + _remarks(query, grounding))
+            remarks = _remarks(query, grounding)
+            plan = self._nothing(query, f"{reason}.{remarks}" if remarks else reason)
             return replace(plan, objects=self._objects(scene, grounding))
         spot = _spot(scene, scene.proposal(hider.mark), self.grid, None, None, memory)
         what = "most likely hides it" if hider.suspected else "goes first"

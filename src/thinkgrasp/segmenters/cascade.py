@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, cast
@@ -58,6 +59,7 @@ class CascadeSegmenter:
         crop_margin: The crop is wider than the object by this share of its sides, at each side.
         max_alternatives: So many of the planner's other objects are asked for.
         border_score: What the image's border cuts has to score at least this; 0 = like everything else.
+        max_share: A mask that covers more of the image than this is of the scene and of no thing in it.
 
     Raises:
         ConfigError: A setting is out of range, or one of the segmenters cannot be made.
@@ -75,6 +77,7 @@ class CascadeSegmenter:
         crop_margin: float = 0.1,
         max_alternatives: int = 3,
         border_score: float = 0.5,
+        max_share: float = 0.9,
     ) -> None:
         numbers = {
             "min_side_px": min_side_px,
@@ -87,6 +90,8 @@ class CascadeSegmenter:
                 raise ConfigError(f"cascade segmenter: {name} must be at least 0, got {value}")
         if not 0 <= border_score <= 1:
             raise ConfigError(f"cascade segmenter: border_score must lie in [0, 1], got {border_score}")
+        if not 0 < max_share <= 1:
+            raise ConfigError(f"cascade segmenter: max_share must lie in (0, 1], got {max_share}")
         self.objects = _stage("objects", objects)
         self.parts = None if parts is None else _stage("parts", parts, "; or set parts=null to do without")
         self.proposals = _stage("proposals", proposals)
@@ -96,6 +101,7 @@ class CascadeSegmenter:
         self.crop_margin = crop_margin
         self.max_alternatives = max_alternatives
         self.border_score = border_score
+        self.max_share = max_share
 
     def segment(self, scene: Scene, plan: Plan) -> Segmentation:
         """Return all masks that answer to the plan, best first; every fallback is in `degraded`.
@@ -138,8 +144,12 @@ class CascadeSegmenter:
             following = "its object, and the part in its crop" if self.crop_then_prompt else _GRID_PICKS
             notes = (Degradation("segment", answer.problem, following),)
         found = self._with(notes, self._object(scene, replace(plan, target=whole)))
-        if not found.segments or not (self.crop_then_prompt or plan.mark is not None):
+        if not found.segments:
             return found
+        if not self.crop_then_prompt:
+            asked = plan.mark is None
+            note = Degradation("segment", "no part of a mark is looked for where crop_then_prompt is off", _GRID_PICKS)
+            return found if asked else replace(found, notes=(*found.notes, note))
         return self._part_in_crop(self.parts, scene, plan, found)
 
     def _part_in_crop(self, parts: _Stage, scene: Scene, plan: Plan, found: _Answer) -> _Answer:
@@ -157,22 +167,41 @@ class CascadeSegmenter:
         return _Answer(found.segments, (*found.notes, note))
 
     def _ask(self, stage: _Stage, scene: Scene, plan: Plan, *, crop: bool = False) -> _Answer:
-        """Ask one segmenter; what it raises is a problem like any other, and what the border cuts has to score more."""
+        """Ask one segmenter; what it raises is a problem like any other, and so is a mask of nothing or of everything.
+
+        What the border cuts has to score more. In a crop a part may fill the view and be cut.
+        """
         try:
             result = stage.segmenter.segment(scene, plan)
         except Exception as error:  # a network may fail in many ways, and none of them is a reason to stop the robot
             reason = (str(error).strip().splitlines() or [""])[0]
             return _Answer((), (), f"{stage.name} failed ({type(error).__name__}: {reason})")
-        cut = [s for s in result.segments if s.touches_border and s.score < self.border_score and not crop]
-        kept = tuple(s for s in result.segments if all(s is not c for c in cut))
-        low = f"{len(cut)} cut by the border, scoring less than {self.border_score:g}"
+        kept: list[Segment] = []
+        left = Counter[str]()
+        for segment in result.segments:
+            flaw = self._flaw(segment, crop=crop)
+            if flaw:
+                left[flaw] += 1
+            else:
+                kept.append(segment)
+        faulty = " and ".join(f"{count} {flaw}" for flaw, count in left.items())
         if not kept:
-            problem = f"{stage.name} finds no {plan.target!r}" + (f" but {low}" if cut else "")
+            problem = f"{stage.name} finds no {plan.target!r}" + (f" but {faulty}" if faulty else "")
             return _Answer((), result.degraded, problem)
-        if not cut:
-            return _Answer(kept, result.degraded)
-        note = Degradation("segment", f"of what {stage.name} finds for {plan.target!r}, {low}", "left out")
-        return _Answer(kept, (*result.degraded, note))
+        if not faulty:
+            return _Answer(tuple(kept), result.degraded)
+        note = Degradation("segment", f"of what {stage.name} finds for {plan.target!r}, {faulty}", "left out")
+        return _Answer(tuple(kept), (*result.degraded, note))
+
+    def _flaw(self, segment: Segment, *, crop: bool) -> str:
+        """Return why a segment does not count; empty where it does."""
+        if not segment.mask.any():
+            return "with an empty mask"
+        if not crop and segment.mask.mean() > self.max_share:
+            return f"covering more than {self.max_share:.0%} of the image"
+        if not crop and segment.touches_border and segment.score < self.border_score:
+            return f"cut by the border, scoring less than {self.border_score:g}"
+        return ""
 
     def _unfit(self, frame: Frame) -> str:
         """Return why parts cannot be told apart in this image; empty where they can."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from thinkgrasp.errors import ConfigError, MissingDependency
 from thinkgrasp.segmenters.boxes import segment_of
 from thinkgrasp.segmenters.marks import marked_segment
-from thinkgrasp.segmenters.phrases import clean
+from thinkgrasp.segmenters.phrases import clean, cut_short
 from thinkgrasp.types import Degradation, Plan, Scene, Segment, Segmentation
 
 if TYPE_CHECKING:
@@ -97,9 +97,10 @@ class GroundedSamSegmenter:
         if plan.mark is not None:
             return marked_segment(scene, plan, self.masks if self.refine_marks else None)
         (segments,) = self.find(scene.frame.color, [plan.target])
-        if segments:
-            return Segmentation(segments)
-        return Segmentation((), (Degradation("segment", f"no box answers to {plan.target!r}", "no segment"),))
+        notes = cut_short(self.detector, plan.target)
+        if not segments:
+            notes += (Degradation("segment", f"no box answers to {plan.target!r}", "no segment"),)
+        return Segmentation(segments, notes)
 
     def find(self, image: NDArray[np.uint8], phrases: Sequence[str]) -> tuple[tuple[Segment, ...], ...]:
         """Return the segments that answer to each phrase in an RGB image (H, W, 3), best first."""

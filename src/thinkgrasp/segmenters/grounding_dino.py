@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from thinkgrasp.segmenters.boxes import clip_boxes, has_area, suppress
 from thinkgrasp.segmenters.image_cache import ImageCache
 from thinkgrasp.segmenters.image_input import ImageInput
-from thinkgrasp.segmenters.phrases import Caption
+from thinkgrasp.segmenters.phrases import Caption, unread
 from thinkgrasp.segmenters.pretrained import find_model, import_models, load_model, load_tokenizer
 from thinkgrasp.types import Array
 
@@ -74,7 +74,8 @@ class GroundingDino:
         box_threshold: A box is kept if any token of the caption fits it better than this.
         text_threshold: It answers to the phrase with the best token, which has to fit better than this.
         max_iou: Of boxes for one phrase that overlap more than this, the best is kept.
-        together: Ask all phrases in one caption: the cost of one, but they compete and are seen in one context.
+        together: Ask all phrases in one caption, or in as few as its length allows: the cost of one, but they compete
+            and are seen in one context.
         batch: So many captions run at once.
         device: As in `load_model`.
         dtype: As in `load_model`.
@@ -116,8 +117,7 @@ class GroundingDino:
 
     def detect(self, image: NDArray[np.uint8], phrases: Sequence[str]) -> tuple[Detections, ...]:
         """Return the boxes that answer to each phrase in an RGB image (H, W, 3)."""
-        groups = [tuple(phrases)] if self.together else [(phrase,) for phrase in phrases]
-        captions = [Caption.of(group) for group in groups]
+        captions = self._together(phrases) if self.together else [Caption.of([phrase]) for phrase in phrases]
         found: list[Detections] = []
         for start in range(0, len(captions), self.batch):
             some = captions[start : start + self.batch]
@@ -126,13 +126,41 @@ class GroundingDino:
                 found += self._read(logits[row], boxes[row], caption.tokens(tokens[row]), image.shape[:2])
         return tuple(found)
 
+    @property
+    def text_limit(self) -> int:
+        """So many tokens of a caption are read."""
+        return int(self._model.config.max_text_len)
+
+    def unread(self, phrase: str) -> str:
+        """Return the end of a phrase that is beyond the limit and so has no say, shortened; or nothing."""
+        text = Caption.of([phrase]).text
+        return unread(text, self._offsets(text))
+
+    def _offsets(self, text: str) -> list[tuple[int, int]]:
+        told = self._tokenizer(text, truncation=True, max_length=self.text_limit, return_offsets_mapping=True)
+        return cast(list[tuple[int, int]], told["offset_mapping"])
+
+    def _together(self, phrases: Sequence[str]) -> list[Caption]:
+        """All phrases in one caption; where it is too long in several, each as long as may be."""
+        groups: list[list[str]] = [[]]
+        for phrase in phrases:
+            longer = Caption.of([*groups[-1], phrase]).text
+            if groups[-1] and unread(longer, self._offsets(longer)):
+                groups.append([])
+            groups[-1].append(phrase)
+        return [Caption.of(group) for group in groups if group]
+
     @torch.inference_mode()
     def _run(self, image: NDArray[np.uint8], texts: list[str]) -> tuple[Array, Array, list[list[tuple[int, int]]]]:
         """Return logits (B, Q, T), boxes (B, Q, 4) as shares cx, cy, w, h, and each token's place in its text."""
         self._given.features = self._cache.get(image, lambda: self._see(image))
-        limit = int(self._model.config.max_text_len)
         text = self._tokenizer(
-            texts, padding=True, truncation=True, max_length=limit, return_offsets_mapping=True, return_tensors="pt"
+            texts,
+            padding=True,
+            truncation=True,
+            max_length=self.text_limit,
+            return_offsets_mapping=True,
+            return_tensors="pt",
         )
         offsets = cast(list[list[tuple[int, int]]], text.pop("offset_mapping").tolist())
         device = self._model.device

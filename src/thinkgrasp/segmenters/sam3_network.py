@@ -21,6 +21,7 @@ from torch.nn.functional import interpolate
 from thinkgrasp.segmenters.boxes import box_iou, clip_boxes
 from thinkgrasp.segmenters.image_cache import ImageCache
 from thinkgrasp.segmenters.image_input import ImageInput
+from thinkgrasp.segmenters.phrases import unread
 from thinkgrasp.segmenters.pretrained import find_model, import_models, load_model, load_tokenizer
 from thinkgrasp.segmenters.segment_anything import MASKS_AT_ONCE, BoxMasks
 from thinkgrasp.types import Array
@@ -102,6 +103,16 @@ class Sam3:
                 kept = kept[np.argsort(-found.scores[kept], kind="stable")][:most]
                 answers.append(ConceptMasks(_at_full_size(found.masks[kept], hw), found.scores[kept]))
         return tuple(answers)
+
+    @property
+    def text_limit(self) -> int:
+        """So many tokens of a phrase are read."""
+        return TEXT_TOKENS
+
+    def unread(self, phrase: str) -> str:
+        """Return the end of a phrase that is beyond the limit and so has no say, shortened; or nothing."""
+        told = self._tokenizer(phrase, truncation=True, max_length=TEXT_TOKENS, return_offsets_mapping=True)
+        return unread(phrase, told["offset_mapping"])
 
     def masks(self, image: NDArray[np.uint8], boxes: Array) -> BoxMasks:
         """Return the mask of the thing in each box (N, 4) x0, y0, x1, y1 [px] of an RGB image (H, W, 3).
