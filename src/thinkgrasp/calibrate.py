@@ -71,7 +71,7 @@ def run_calibration(
             link = URLink(cell.robot.host, control=False)
             stack.callback(link.close)
             try:
-                samples, intrinsics = collect(camera, lambda: ur5e.forward(link.state().q), finder, person, out)
+                samples, intrinsics = collect(camera, lambda: ur5e.forward(link.fresh().q), finder, person, out)
             except Halted as halt:
                 raise ConfigError(f"the poses cannot be taken: {halt.detail}") from halt
     result = solve(samples, cell.camera.mount)

@@ -68,7 +68,7 @@ class Scene:
 
     def robot(self, person: ScriptedPerson | None = None, cell: dict[str, Any] | None = None, **settings) -> URRobot:
         made = make_cell(self.lab.gripper.port, **(cell or {}))
-        settings.setdefault("sleep", lambda s: None)
+        settings = {"sleep": self.lab.sleep, "clock": self.lab.clock, **settings}
         self.robots.append(URRobot(cell=made, person=person or ScriptedPerson(), **settings))
         return self.robots[-1]
 
@@ -444,6 +444,67 @@ def test_a_fault_in_the_middle_of_a_motion_stops_everything(scene, reason, perio
     assert scene.lab.unlocked == 0, "a protective stop is never released by itself"
 
 
+@pytest.mark.parametrize("reason", ["safeguard_stop", "off_track"])
+def test_after_a_stop_the_arm_has_no_position_left_to_go_to(scene, reason):
+    """A paused program takes no command, and goes on to the last position when it is resumed: it has to be ended."""
+    robot = scene.robot()
+    after(scene.lab, 30, lambda: FAULTS[reason](scene.lab))
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, reason)
+    assert scene.lab.stops == 1 or not scene.lab.running
+
+
+def test_an_arm_that_cannot_be_told_to_stop_is_said(scene):
+    robot = scene.robot()
+    after(scene.lab, 30, lambda: FAULTS["connection_lost"](scene.lab))
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert "use the emergency stop" in str(events(robot, "halted")[0]["detail"])
+
+
+def test_a_motion_that_ends_without_the_servo_letting_go_is_none(scene):
+    robot = scene.robot()
+    scene.lab.control_servoStop = lambda deceleration: False
+    scene.lab.dashboard_stop = lambda: (_ for _ in ()).throw(RuntimeError("Failed to execute: stop"))
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert "use the emergency stop" in str(events(robot, "halted")[0]["detail"])
+
+
+def test_a_motion_does_not_go_on_after_the_vendors_module_has_connected_again(scene):
+    robot = scene.robot()
+    after(scene.lab, 40, lambda: setattr(scene.lab, "gap_s", 3.0))
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert robot.halted == "connection_lost"
+    assert scene.lab.moved < 45
+
+
+def test_a_stream_that_stops_in_the_middle_of_a_motion(scene):
+    robot = scene.robot(**frozen_clock(scene))
+    after(scene.lab, 40, lambda: setattr(scene.lab, "frozen_clock", True))
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert scene.lab.moved < 50
+
+
+def test_a_stream_that_stopped_while_the_question_was_open(scene):
+    """The vendor's module goes on to return what it heard last, which looks fine."""
+    robot = scene.robot()
+
+    def allow(motion):
+        scene.lab.frozen_clock = motion.name == "to the pre-grasp"
+        return "yes"
+
+    robot.person.allows = allow  # type: ignore[method-assign]
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert scene.lab.moved == 0
+    with pytest.raises(InputError, match="nothing new came from the robot"):
+        robot.T_world_flange()
+
+
+def test_a_payload_that_the_controller_does_not_take(scene):
+    robot = scene.robot()
+    scene.lab.control_setPayload = lambda mass, center: False
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert scene.lab.moved == 0
+
+
 def test_a_program_that_was_stopped_on_the_pendant(scene):
     robot = scene.robot()
     after(scene.lab, 40, lambda: setattr(scene.lab, "running", False))
@@ -515,6 +576,38 @@ class TestProtectiveStop:
         assert scene.is_home()
         scene.lab.after = lambda done: None
         assert robot.execute(scene.grasp(), scene.frame).success
+
+    def test_is_released_late_and_its_program_starts_late(self, scene):
+        """The controller refuses for five seconds, and says for a while that it is still stopped."""
+        unlock, reupload = scene.lab.dashboard_unlockProtectiveStop, scene.lab.control_reuploadScript
+
+        def later(what: Callable[[], Any], seconds: float) -> None:
+            due = scene.lab.time_s + seconds
+            look = scene.lab.receive_getSafetyStatusBits
+            scene.lab.receive_getSafetyStatusBits = lambda: (
+                (what() if scene.lab.time_s > due and scene.lab.bits == PROTECTIVE else None) or look()
+            )
+
+        def release() -> None:
+            unlock()
+            scene.lab.bits = PROTECTIVE
+            later(lambda: setattr(scene.lab, "bits", NORMAL), 1.0)
+
+        def upload() -> bool:
+            assert scene.lab.bits == NORMAL, "no program starts in a protective stop"
+            return reupload()
+
+        scene.lab.dashboard_unlockProtectiveStop, scene.lab.control_reuploadScript = release, upload
+        robot, outcome = self.stopped(scene, ScriptedPerson(confirms=[True]))
+        assert outcome == Outcome(False, "protective_stop")
+        assert scene.lab.unlocked == 1
+        assert robot.halted is None
+        assert scene.is_home()
+
+    def test_stays_when_its_program_does_not_start_again(self, scene):
+        scene.lab.control_reuploadScript = lambda: False
+        robot, outcome = self.stopped(scene, ScriptedPerson(confirms=[True]))
+        assert (outcome.reason, robot.halted) == ("protective_stop", "protective_stop")
 
     def test_stays_when_the_person_says_no(self, scene):
         robot, outcome = self.stopped(scene, ScriptedPerson(confirms=[False]))

@@ -107,7 +107,7 @@ class URRobot:
         self._moved = False
         self._opening_m = STROKE_M
         self._cloud = np.zeros((0, 3))
-        self.link = URLink(self.cell.robot.host, control=not dry_run, clock=clock)
+        self.link = URLink(self.cell.robot.host, control=not dry_run, clock=clock, sleep=sleep)
         try:
             self.gripper = None if dry_run else self._connect_gripper()
         except ConfigError:
@@ -143,7 +143,7 @@ class URRobot:
         from thinkgrasp.motion import ur5e
 
         try:
-            return self.cell.mount.T_world_base @ ur5e.forward(self.link.state().q)
+            return self.cell.mount.T_world_base @ ur5e.forward(self.link.fresh().q)
         except Halted as halt:
             raise InputError(f"where the camera is cannot be told: {halt.detail}") from halt
 
