@@ -42,6 +42,9 @@ class WorldFingers:
         self.goal, self.told = self.counts.opening(position), self.world.opening()
         self.moving, self.still = True, 0
 
+    def stop(self) -> None:
+        self.moving = False
+
     def tick(self) -> None:
         if not self.moving:
             return

@@ -399,6 +399,13 @@ def test_the_person_says_stop(scene):
     assert scene.lab.moved == 0
 
 
+def test_stop_with_something_in_the_fingers_leaves_their_grip(scene):
+    robot = scene.robot(ScriptedPerson(["yes"] * MOTIONS.index("to the bin") + ["stop"]))
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "stopped_by_person")
+    assert scene.lab.gripper.registers["GTO"] == 1
+    assert scene.world.held() == 0
+
+
 # -- while it moves --------------------------------------------------------------------------------------------------
 
 
@@ -667,6 +674,7 @@ def test_a_gripper_that_does_not_open_as_told(scene):
     robot = scene.robot()
     assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "gripper_fault")
     assert scene.lab.moved == 0
+    assert scene.lab.gripper.registers["GTO"] == 0
 
 
 def test_an_inactive_gripper_is_activated_when_the_person_agrees(scene):

@@ -363,8 +363,6 @@ class URRobot:
     def _halt(self, halt: Halted) -> tuple[Reason, str]:
         """Stay still; a protective stop is released if the person says so, and only then is the robot not halted."""
         self.journal.note("halted", reason=halt.reason, detail=halt.detail)
-        if self.gripper is not None and halt.reason in ("gripper_fault", "stopped_by_person"):
-            self.gripper.halt()
         if halt.reason != "protective_stop":
             self.halted = halt.reason if halt.reason in HALTS else self.halted
             return halt.reason, halt.detail
