@@ -103,10 +103,14 @@ def run_on_robot(
         header = EpisodeHeader(instruction=options.instruction, goal="", preset=preset, seed=config.seed)
         recorder = EpisodeRecorder(out, header=header, gripper=pipeline.gripper)
         write_atomic(out / "config.json", to_json(config).encode())
+        placed = _placed(camera, cell, camera_file, robot)
         announcing = _Announcing(pipeline, out / NOW_FILE, tell)
         try:
+            prepare = getattr(robot, "prepare", None)
+            if prepare is not None:
+                prepare(placed.read())
             episode = run_episode(
-                [_placed(camera, cell, camera_file, robot)],
+                [placed],
                 cast(Pipeline, announcing),
                 robot,
                 options.instruction,

@@ -233,6 +233,59 @@ def test_keeps_the_contract_of_a_robot(scene):
     testing.check_robot(scene.robot())
 
 
+# -- an arm that is not at home --------------------------------------------------------------------------------------
+
+AWAY = np.add(HOME_RAD, [-0.5, 0.1, -0.2, 0.1, 0.0, 0.3])
+
+
+def test_an_arm_that_is_elsewhere_does_not_take_what_the_camera_saw(scene):
+    """The camera may have taken the arm itself for a thing."""
+    scene.world.set_joints(AWAY, 0.085)
+    robot = scene.robot()
+    assert robot.execute(scene.grasp(), scene.lab.camera.read()) == Outcome(False, "not_at_home")
+    assert scene.untouched()
+    assert robot.halted == "not_at_home"
+
+
+def test_it_comes_home_first_when_the_person_agrees(scene):
+    scene.world.set_joints(AWAY, 0.085)
+    person = ScriptedPerson()
+    robot = scene.robot(person)
+    robot.prepare(scene.lab.camera.read())
+    assert [m.name for m in person.asked] == ["home"]
+    assert "from home" in " ".join(person.told)
+    assert robot.halted is None
+    assert scene.is_home()
+    assert robot.execute(scene.grasp(), scene.frame).success
+
+
+@pytest.mark.parametrize(("answer", "halted"), [("no", None), ("stop", "stopped_by_person")])
+def test_it_stays_away_when_the_person_does_not_agree(scene, answer, halted):
+    scene.world.set_joints(AWAY, 0.085)
+    robot = scene.robot(ScriptedPerson([answer]))
+    robot.prepare(scene.lab.camera.read())
+    assert scene.lab.moved == 0
+    assert robot.halted == halted
+    assert not robot.execute(scene.grasp(), scene.frame).success
+    assert scene.lab.moved == 0
+
+
+def test_an_arm_at_home_is_not_asked_about(scene):
+    person = ScriptedPerson()
+    scene.robot(person).prepare(scene.frame)
+    assert (person.asked, person.told, scene.lab.moved) == ([], [], 0)
+
+
+def test_a_dry_run_says_that_the_arm_is_elsewhere_and_plans_all_the_same(scene):
+    scene.world.set_joints(AWAY, 0.085)
+    person = ScriptedPerson()
+    robot = scene.robot(person, dry_run=True)
+    robot.prepare(scene.frame)
+    assert "from home" in " ".join(person.told)
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "dry_run")
+    assert scene.untouched()
+
+
 # -- nothing moves before all checks pass ----------------------------------------------------------------------------
 
 

@@ -25,10 +25,9 @@ from thinkgrasp.lab.safety import (
     Reason,
     check_grasp,
     check_motion,
+    describe,
     grasp_in_world,
-    joint_speed,
     slowed_to,
-    tip_speed,
 )
 from thinkgrasp.motion.robotiq_2f85 import STROKE_M
 from thinkgrasp.motion.trajectory import Trajectory, time_path
@@ -45,6 +44,8 @@ except ModuleNotFoundError as _error:
 
 Float = NDArray[np.float64]
 
+_AWAY_RAD = 0.1
+"""An arm this far from home may be taken for a thing by the camera, and hides others."""
 _BACK_OUT_SPEED = 0.3
 """Share of the joint speed on the way back from what the arm pressed on."""
 
@@ -140,10 +141,8 @@ class URRobot:
         Raises:
             InputError: The robot does not say.
         """
-        from thinkgrasp.motion import ur5e
-
         try:
-            return self.cell.mount.T_world_base @ ur5e.forward(self.link.fresh().q)
+            return self.cell.flange(self.link.fresh().q)
         except Halted as halt:
             raise InputError(f"where the camera is cannot be told: {halt.detail}") from halt
 
@@ -162,21 +161,40 @@ class URRobot:
             raise InputError("a robot needs the camera's pose: T_world_camera is missing in the frame")
         if self.halted is not None:
             return Outcome(False, self.halted)
+        reason, detail = self._concluded(lambda: self._attempt(grasp, T_world_tcp, frame))
+        outcome = Outcome(True, "held") if reason is None else Outcome(False, reason)
+        self.journal.note("outcome", success=outcome.success, reason=outcome.reason, detail=detail)
+        return outcome
+
+    def prepare(self, frame: Frame) -> None:
+        """Bring the arm home if it is elsewhere and the person agrees: there it waits while the camera looks.
+
+        Args:
+            frame: Seen with the arm where it is; what it shows is kept away from.
+
+        Raises:
+            InputError: The frame's camera pose is unknown.
+        """
+        reason, detail = self._concluded(lambda: self._come_home(frame))
+        if reason is not None:
+            self.journal.note("prepared", reason=reason, detail=detail)
+
+    def _concluded(self, attempt: Callable[[], Reason | None]) -> tuple[Reason | None, str]:
+        """Make an attempt, and return and tell why it came to no good end."""
         self._moved = False
+        reason: Reason | None
+        detail = ""
         try:
-            reason: Reason | None = self._attempt(grasp, T_world_tcp, frame)
-            detail = ""
+            reason = attempt()
         except _Ended as end:
             reason, detail = end.reason, end.detail
         except Halted as halt:
             reason, detail = self._halt(halt)
         except GripperError as error:
             reason, detail = self._halt(Halted(error.reason, str(error)))
-        outcome = Outcome(True, "held") if reason is None else Outcome(False, reason)
-        self.journal.note("outcome", success=outcome.success, reason=outcome.reason, detail=detail)
-        if detail:
-            self.person.tell(f"{outcome.reason.replace('_', ' ')}: {detail}")
-        return outcome
+        if reason is not None and detail:
+            self.person.tell(f"{reason.replace('_', ' ')}: {detail}")
+        return reason, detail
 
     # -- one attempt -------------------------------------------------------------------------------------------------
 
@@ -184,12 +202,11 @@ class URRobot:
         refusal = check_grasp(grasp, T_world_tcp, self.cell)
         if refusal is not None:
             raise _Ended(refusal.reason, refusal.detail)
-        not_ready = self.link.ready()
-        if not_ready is not None and self.dry_run:
-            self.person.tell(f"the arm could not move now: {not_ready.detail}")
-        elif not_ready is not None:
-            raise Halted(not_ready.reason, not_ready.detail)
+        self._check_ready()
         self._check_agreement(frame)
+        away = self._away_rad()
+        if away > _AWAY_RAD and not self.dry_run:
+            raise Halted("not_at_home", f"the arm is {away:.2f} rad from home, where it waits while the camera looks")
         opening = min(grasp.width_m, STROKE_M)
         retreat = retreat_for_arc(T_world_tcp, opening)
         if retreat > MAX_RETREAT_M:
@@ -238,20 +255,50 @@ class URRobot:
         self._go_home(cloud)
         return None if held else "slipped"
 
+    def _come_home(self, frame: Frame) -> Reason | None:
+        away = self._away_rad()
+        if away <= _AWAY_RAD:
+            return None
+        self.person.tell(f"the arm is {away:.2f} rad from home, where it has to wait while the camera looks")
+        if self.dry_run:
+            return "dry_run"
+        self._check_ready()
+        self._check_agreement(frame)
+        self._cloud = perceived_cloud(frame)
+        self.motion.seen_at = self.link.state().q
+        try:
+            self._go_home(self._cloud)
+        finally:
+            self.motion.seen_at = self.cell.home
+        return None
+
+    def _away_rad(self) -> float:
+        return float(np.abs(self.link.fresh().q - self.cell.home).max())
+
     # -- before the first move ---------------------------------------------------------------------------------------
+
+    def _check_ready(self) -> None:
+        not_ready = self.link.ready()
+        if not_ready is not None and self.dry_run:
+            self.person.tell(f"the arm could not move now: {not_ready.detail}")
+        elif not_ready is not None:
+            raise Halted(not_ready.reason, not_ready.detail)
 
     def _check_agreement(self, frame: Frame) -> None:
         """Look once whether camera, arm and tool agree; nothing moves before they do."""
         if self._checked:
             return
         state, T_base_tcp = self.link.state(), self.link.tcp_pose()
-        findings = [
-            agreement.tool_finding(state.q, T_base_tcp, self.cell),
-            agreement.kinematics_finding(state.q, T_base_tcp, self.link.tool()),
-            agreement.record_finding(self.record, self.cell),
-            agreement.table_finding(frame, self.cell),
-            agreement.arm_finding(frame, state.q, self._opening_m, self.motion.world),
-        ]
+        findings = agreement.all_findings(
+            state.q,
+            T_base_tcp,
+            self.link.tool(),
+            frame,
+            cell=self.cell,
+            record=self.record,
+            opening_m=self._opening_m,
+            world=self.motion.world,
+        )
         for finding in findings:
             self.person.tell(finding.line())
             self.journal.note("check", name=finding.name, state=finding.state, detail=finding.detail)
@@ -281,7 +328,7 @@ class URRobot:
             self.journal.note("planned", name=name, duration_s=motion.duration_s, end_rad=motion.end.tolist())
             if refusal is not None:
                 raise _Ended(refusal.reason, f"{name}: {refusal.detail}")
-            told.append(f"would move {name}: {self._describe(motion)}")
+            told.append(f"would move {name}: {describe(motion, self.cell)}")
             q = motion.end
         if self.dry_run:
             for line in told:
@@ -289,15 +336,6 @@ class URRobot:
 
     def _way_to_bin(self, q: Float, opening_m: float, cloud: Float, taken_at_z_m: float) -> Trajectory | str:
         return self.motion.plan_to_poses(q, over_bin(self.cell.bin_box, taken_at_z_m), opening_m, cloud)
-
-    def _describe(self, motion: Trajectory) -> str:
-        tip = self.cell.fingertips(motion.end)[:3, 3]
-        at = ", ".join(f"{c:.3f}" for c in tip)
-        return (
-            f"{motion.duration_s:.1f} s, fingertips to ({at}) m, at most "
-            f"{tip_speed(motion.positions, self.cell):.2f} m/s "
-            f"and {joint_speed(motion.positions):.2f} rad/s"
-        )
 
     # -- moving ------------------------------------------------------------------------------------------------------
 
@@ -310,10 +348,8 @@ class URRobot:
             raise self._over(refusal.reason, f"{name}: {refusal.detail}")
         if motion.duration_s == 0:
             return
-        self._ask(Motion(name, self._describe(motion)))
-        not_ready = self.link.ready()
-        if not_ready is not None:
-            raise Halted(not_ready.reason, not_ready.detail)
+        self._ask(Motion(name, describe(motion, self.cell)))
+        self._check_ready()
         moved_rad = float(np.abs(self.link.state().q - motion.start).max())
         if moved_rad > START_TOLERANCE_RAD:
             raise self._over("jump", f"{name}: the arm was moved by {moved_rad:.3f} rad while the question was open")
