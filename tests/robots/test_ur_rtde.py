@@ -24,6 +24,7 @@ from thinkgrasp.geometry import make_transform
 from thinkgrasp.lab.agreement import CalibrationRecord
 from thinkgrasp.motion.cell import HOME_RAD
 from thinkgrasp.motion.robotiq_2f85 import flange_to_tip
+from thinkgrasp.motion.trajectory import time_path
 from thinkgrasp.robots.ur_link import Halted
 from thinkgrasp.robots.ur_rtde import URRobot
 from thinkgrasp.sim.tabletop import pose
@@ -321,8 +322,10 @@ def test_a_grasp_under_the_table_or_too_near_to_it_is_refused(scene):
 
 
 def test_a_way_that_leaves_the_box_is_refused_before_anything_moves(scene):
-    # The bin's way leads higher than a box that ends just above what the fingertips need at home.
-    robot = scene.robot(cell={"workspace_m": [[0.0, -0.42, -0.005], [0.95, 0.78, 0.60]]})
+    robot = scene.robot()
+    robot.motion.plan_to_poses = lambda q, *rest: time_path(  # type: ignore[method-assign]
+        np.array([q, np.add(q, [-1.5, 0.0, 0.0, 0.0, 0.0, 0.0]), q]), robot.cell.joint_limits
+    )
     assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "outside_workspace")
     assert scene.untouched()
 
