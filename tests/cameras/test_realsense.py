@@ -154,8 +154,12 @@ def test_clocks_of_the_device_are_not_compared_with_ours(usb):
         ([("D455", "1")], {"serial": "9"}, r"no RealSense camera '9' is connected; there is D455 \(1\)"),
         ([("D455", "1")], {"preset": "best"}, "no preset 'best'; allowed are .*high_accuracy"),
         ([("D455", "1")], {"timeout_s": float("nan")}, r"timeout_s must lie in \(0, 60\]"),
-        ([("D455", "1")], {"depth_frames": 0}, r"depth_frames must lie in 1\.\.30"),
-        ([("D455", "1")], {"color_size": (0, 480)}, "two positive numbers"),
+        ([("D455", "1")], {"depth_frames": 0}, r"depth_frames must be a whole number in 1\.\.30"),
+        ([("D455", "1")], {"depth_frames": "many"}, r"depth_frames must be a whole number in 1\.\.30, got 'many'"),
+        ([("D455", "1")], {"fps": 29.97}, r"fps must be a whole number in 1\.\.300"),
+        ([("D455", "1")], {"color_size": "640x480"}, r"two positive whole numbers, as \[640, 480\], got '640x480'"),
+        ([("D455", "1")], {"depth_size": [640]}, "two positive whole numbers"),
+        ([("D455", "1")], {"color_size": (0, 480)}, "two positive whole numbers"),
     ],
 )
 def test_cameras_that_cannot_be_used(usb, devices, settings, message):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,8 +82,9 @@ class RealSenseCamera:
         timeout_s: float = 2.0,
         clock: Callable[[], float] = time.time,
     ) -> None:
-        if not 1 <= depth_frames <= 30:
-            raise ConfigError(f"realsense: depth_frames must lie in 1..30, got {depth_frames}")
+        for name, number, most in (("depth_frames", depth_frames, 30), ("fps", fps, 300)):
+            if type(number) is not int or not 1 <= number <= most:
+                raise ConfigError(f"realsense: {name} must be a whole number in 1..{most}, got {number!r}")
         if not 0 < timeout_s <= 60:
             raise ConfigError(f"realsense: timeout_s must lie in (0, 60], got {timeout_s}")
         self._rs = rs = _sdk()
@@ -267,10 +268,10 @@ def _sdk() -> Any:
 
 
 def _size(size: Size) -> Size:
-    width, height = (int(s) for s in size)
-    if width <= 0 or height <= 0:
-        raise ConfigError(f"realsense: a size must be two positive numbers, got {size}")
-    return width, height
+    given: Sequence[object] = size if isinstance(size, list | tuple) else ()
+    if len(given) != 2 or not all(type(s) is int and s > 0 for s in given):
+        raise ConfigError(f"realsense: a size must be two positive whole numbers, as [640, 480], got {size!r}")
+    return size[0], size[1]
 
 
 def _intrinsics(seen: Any) -> tuple[CameraIntrinsics, Lens]:

@@ -71,6 +71,9 @@ class AtTheKeyboard:
             line = answers.readline() if answers is not None else ""
         except UnicodeDecodeError:
             return ""
+        except KeyboardInterrupt:
+            print(file=self._questions or sys.stderr, flush=True)
+            raise
         except (OSError, ValueError):  # hung up, or closed
             line = ""
         if not line:

@@ -365,9 +365,9 @@ class URRobot:
         answer = self.person.allows(motion)
         self.journal.note("asked", name=motion.name, detail=motion.detail, answer=answer)
         if answer == "stop":
-            raise Halted("stopped_by_person", f"the person said stop before {motion.name}")
+            raise Halted("stopped_by_person", f"the person said stop: {motion.name}")
         if answer == "no":
-            raise self._over("refused_by_person", f"the person said no to {motion.name}")
+            raise self._over("refused_by_person", f"the person said no: {motion.name}")
 
     def _over(self, reason: Reason, detail: str) -> Exception:
         """A refusal ends the attempt; once the arm has moved it is not at home any more, and everything ends."""
