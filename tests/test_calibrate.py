@@ -156,9 +156,9 @@ def test_a_camera_on_the_hand_from_kept_poses_of_an_april_grid(cli, tmp_path):
     assert apart_mm(read_pose(tmp_path / "camera.json", "hand"), T_FLANGE_CAMERA) < 3.0
 
 
-def test_poses_without_board_or_of_a_moving_arm_are_not_taken(cli, lab, tmp_path, monkeypatch):
-    away, good = np.array([0.5, -1.2, 1.0, -1.0, -1.5, 0.0]), joints()[0]
-    monkeypatch.setattr(sys, "stdin", Hand(lab, [away, good]))
+def test_poses_without_board_of_a_moving_arm_or_taken_twice_are_not_taken(cli, lab, tmp_path, monkeypatch):
+    away, (good, other) = np.array([0.5, -1.2, 1.0, -1.0, -1.5, 0.0]), joints()[:2]
+    monkeypatch.setattr(sys, "stdin", Hand(lab, [away, good, other, other]))
     look = lab.realsense.source
 
     def shaken() -> Frame:
@@ -172,7 +172,8 @@ def test_poses_without_board_or_of_a_moving_arm_are_not_taken(cli, lab, tmp_path
     assert result.code == 2
     assert "corners of the board are in view" in result.err
     assert "while the camera looked; hold it still" in result.err
-    assert "0 usable poses are too few" in result.err
+    assert "not taken: the arm is where it was at pose 001" in result.err
+    assert "1 usable poses are too few" in result.err
 
 
 def test_draws_a_board_to_print(cli, tmp_path):

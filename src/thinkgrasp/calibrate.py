@@ -111,7 +111,7 @@ def _may_replace(path: Path, result: HandEye, person: Person) -> bool:
     record = read_record(path)
     if record is None:
         return not has_pose(path) or person.confirms(f"{path} holds a pose of unknown error. Replace it?")
-    if result.median_mm <= record.held_out_mm and result.median_deg <= record.held_out_deg:
+    if round(result.median_mm, 3) <= record.held_out_mm and round(result.median_deg, 4) <= record.held_out_deg:
         return True
     return person.confirms(
         f"{path} holds a calibration with an error of {record.held_out_mm:.2f} mm and {record.held_out_deg:.3f} deg; "

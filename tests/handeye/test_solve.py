@@ -96,7 +96,9 @@ def repeated(poses: list[Sample], times: int) -> list[Sample]:
 
 def test_one_pose_taken_again_and_again_is_one_pose():
     few = samples("fixed", 4, noise_mm=3.0, noise_deg=0.3)
-    with pytest.raises(InputError, match=r"only 4 of the 16 poses differ .* at least 8 different ones"):
+    with pytest.raises(
+        InputError, match=r"of 16 poses only 4 are more than 3 deg or 10 mm from one another; at least 8"
+    ):
         solve(repeated(few, 4), "fixed")
 
 

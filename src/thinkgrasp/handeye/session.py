@@ -17,7 +17,7 @@ from PIL import Image
 
 from thinkgrasp.errors import InputError
 from thinkgrasp.handeye.board import BoardFinder, BoardView
-from thinkgrasp.handeye.solve import MIN_POSES, HandEye, Sample
+from thinkgrasp.handeye.solve import MIN_POSES, HandEye, Sample, repeats
 from thinkgrasp.interfaces import Camera
 from thinkgrasp.lab.person import Person
 from thinkgrasp.outputs import make_folder, write_atomic
@@ -65,6 +65,9 @@ def collect(
         seen = finder.find(frame.color, frame.camera)
         if isinstance(seen, str):
             person.tell(f"not taken: {seen}")
+            continue
+        if before_it := repeats(samples, after):
+            person.tell(f"not taken: the arm is where it was at pose {before_it}; turn and move it")
             continue
         name = f"{len(samples) + 1:03d}"
         _keep(folder, name, frame.color, frame.camera, after, seen)

@@ -135,8 +135,8 @@ def check_motions(samples: Sequence[Sample]) -> None:
     different = _different(_same(samples))
     if different < MIN_POSES:
         raise InputError(
-            f"only {different} of the {len(samples)} poses differ from one another by more than {SAME_DEG:g} deg or "
-            f"{SAME_MM:g} mm; at least {MIN_POSES} different ones are needed"
+            f"of {len(samples)} poses only {different} are more than {SAME_DEG:g} deg or {SAME_MM:g} mm from one "
+            f"another; at least {MIN_POSES} are needed"
         )
     turns = [
         Rotation.from_matrix(a.T_base_flange[:3, :3].T @ b.T_base_flange[:3, :3]).as_rotvec()
@@ -158,6 +158,12 @@ def check_motions(samples: Sequence[Sample]) -> None:
             "place along it does "
             "not follow; tilt the board about a second axis too"
         )
+
+
+def repeats(samples: Sequence[Sample], T_base_flange: Float) -> str:
+    """Return the name of the sample that the arm was at the place of; empty where it is at a new one."""
+    same = _same([*samples, Sample(T_base_flange, np.eye(4))])[-1, :-1]
+    return next((s.name for s, is_same in zip(samples, same, strict=True) if is_same), "")
 
 
 def _same(samples: Sequence[Sample]) -> NDArray[np.bool_]:
