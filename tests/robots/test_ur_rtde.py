@@ -672,6 +672,15 @@ class TestProtectiveStop:
         robot, outcome = self.stopped(scene, ScriptedPerson(confirms=[True]))
         assert (outcome.reason, robot.halted) == ("protective_stop", "protective_stop")
 
+    def test_released_before_anything_was_looked_at_moves_nothing(self, scene):
+        scene.lab.protective_stop()
+        person = ScriptedPerson(confirms=[True])
+        robot = scene.robot(person)
+        assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "protective_stop")
+        assert (scene.lab.unlocked, robot.halted) == (1, None)
+        assert scene.untouched()
+        assert person.asked == []
+
     def test_stays_when_the_person_says_no(self, scene):
         robot, outcome = self.stopped(scene, ScriptedPerson(confirms=[False]))
         assert outcome == Outcome(False, "protective_stop")
@@ -766,6 +775,13 @@ def test_joint_angles_that_are_none(scene):
     scene.lab.receive_getActualQ = lambda: [np.nan] * 6
     with pytest.raises(Halted, match="joint angles that are none"):
         robot.link.state()
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert scene.untouched()
+
+
+def test_forces_that_are_missing(scene):
+    robot = scene.robot()
+    scene.lab.receive_getActualTCPForce = lambda: []
     assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
     assert scene.untouched()
 

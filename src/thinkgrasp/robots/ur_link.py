@@ -162,6 +162,8 @@ class URLink:
             raise Halted("connection_lost", f"the robot at {self._host} cannot be read: {error}") from error
         if state.q.shape != (6,) or not np.isfinite(state.q).all():
             raise Halted("connection_lost", f"the robot at {self._host} reports joint angles that are none")
+        if state.speed.shape != (6,) or state.wrench.shape != (6,):
+            raise Halted("connection_lost", f"the robot at {self._host} reports no speeds or no forces")
         return state
 
     def fresh(self) -> ArmState:

@@ -408,8 +408,9 @@ class URRobot:
             self.journal.note("unlock")
             try:
                 self.link.unlock()
-                self._open(STROKE_M, "open the gripper and let go of what it may hold")
-                self._go_home(self._cloud)
+                if self._moved:  # else nothing was looked at yet, and the arm is where it was
+                    self._open(STROKE_M, "open the gripper and let go of what it may hold")
+                    self._go_home(self._cloud)
                 self.halted = None
             except (Halted, _Ended) as again:
                 return halt.reason, f"{halt.detail}; released, but then: {again.detail}"
