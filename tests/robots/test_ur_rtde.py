@@ -781,7 +781,7 @@ def test_joint_angles_that_are_none(scene):
 
 def test_forces_that_are_missing(scene):
     robot = scene.robot()
-    scene.lab.receive_getActualTCPForce = lambda: []
+    scene.lab.receive_getActualTCPForce = list
     assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
     assert scene.untouched()
 
