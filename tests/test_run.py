@@ -172,7 +172,9 @@ def test_a_frozen_camera_is_an_error_and_what_was_done_is_kept(run, lab):
     events = log(out)
     assert events[-1]["event"] == "failed"
     assert [e["reason"] for e in events if e["event"] == "outcome"] == ["held"]
-    assert read_episode(out).ended is not None
+    recorded = read_episode(out)
+    assert [step.line.outcome.reason for step in recorded.steps if step.line.outcome] == ["held"]
+    assert recorded.ended is not None
 
 
 @pytest.mark.parametrize(

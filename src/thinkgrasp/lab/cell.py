@@ -26,7 +26,8 @@ from thinkgrasp.motion.mount import ArmMount
 from thinkgrasp.motion.robotiq_2f85 import flange_to_tip
 
 Float = NDArray[np.float64]
-Number = Annotated[float, Field(allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+"""No text and no true or false for a number: true would be a speed of 1 m/s."""
 Triple = tuple[Number, Number, Number]
 Span = tuple[Number, Number]
 
