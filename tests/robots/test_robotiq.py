@@ -152,6 +152,20 @@ def test_an_activation_asks_for_no_position(connect):
         assert server.registers["GTO"] == 0
 
 
+def test_an_interrupted_activation_is_taken_back(connect):
+    with gripper_server(active=False) as server:
+        gripper = connect(server)
+
+        def interrupt(seconds: float) -> None:
+            if server.registers["ACT"]:
+                raise KeyboardInterrupt
+
+        gripper._sleep = interrupt
+        with pytest.raises(KeyboardInterrupt):
+            gripper.activate()
+        assert server.registers["ACT"] == 0
+
+
 @pytest.mark.parametrize("goal", [0.0, 0.03])
 def test_a_word_that_comes_late_is_not_believed(connect, server, goal):
     """OBJ may say for a while that the fingers are where they were told to be the time before."""

@@ -307,6 +307,8 @@ class RobotiqGripper:
     def activate(self, *, timeout_s: float = 10.0) -> None:
         """Activate it: THE FINGERS MOVE to both ends. Does nothing where it is active.
 
+        Where that is interrupted it is reset, which stops the fingers.
+
         Raises:
             GripperSilent: As `get`, or it was not active in time.
             GripperError: It reports a fault.
@@ -316,8 +318,13 @@ class RobotiqGripper:
             return
         self.set(ACT=0, ATR=0)
         self._until(lambda: self.get("STA") == 0, timeout_s, "reset")
-        self.set(ACT=1)
-        self._until(lambda: self.get("STA") == _ACTIVE, timeout_s, "active")
+        try:
+            self.set(ACT=1)
+            self._until(lambda: self.get("STA") == _ACTIVE, timeout_s, "active")
+        except BaseException:  # an interrupt from the keyboard too
+            with contextlib.suppress(GripperError):
+                self.set(ACT=0)
+            raise
         self.state()
 
     def move(self, opening_m: float, *, timeout_s: float = 6.0) -> GripperState:
