@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 from collections.abc import Iterator
@@ -104,12 +105,30 @@ def test_takes_poses_solves_and_writes_the_camera_file(cli, lab, tmp_path, monke
     assert f"held-out error  {record.held_out_mm:.2f} mm" in result.out
     assert result.err.count("taken: board at") == N
 
+    # Poses that are there are not deleted by the way.
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    refused = cli("calibrate", "--cell", str(cell), "--out", str(out), *SIZES)
+    assert refused.code == 2
+    assert f"holds {N} poses of an earlier calibration; solve them with --poses" in refused.err
+    assert len(list(out.glob("pose_*.json"))) == N
+
     # The kept poses give the same answer, without robot and camera.
     monkeypatch.delitem(sys.modules, "pyrealsense2")
     (tmp_path / "camera.json").unlink()
     again = cli("calibrate", "--cell", str(cell), "--out", str(tmp_path), "--poses", str(out), *SIZES)
     assert again.code == 0, again.err
     assert apart_mm(read_pose(tmp_path / "camera.json", "fixed"), written) < 1e-6
+
+    # What is better is not replaced without a yes.
+    better = json.loads((tmp_path / "camera.json").read_text())
+    better["hand_eye"]["held_out_mm"]["median"] = 0.001
+    (tmp_path / "camera.json").write_text(json.dumps(better))
+    for typed, code in (("", 1), ("n\n", 1), ("y\n", 0)):
+        monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
+        again = cli("calibrate", "--cell", str(cell), "--out", str(tmp_path), "--poses", str(out), *SIZES)
+        assert again.code == code, again.err
+        assert "holds a calibration with an error of 0.00 mm" in again.err
+        assert (json.loads((tmp_path / "camera.json").read_text()) == better) == (code == 1)
 
     # A board that is described with the wrong size fits nothing, and nothing is written.
     (tmp_path / "camera.json").unlink()
@@ -137,9 +156,9 @@ def test_a_camera_on_the_hand_from_kept_poses_of_an_april_grid(cli, tmp_path):
     assert apart_mm(read_pose(tmp_path / "camera.json", "hand"), T_FLANGE_CAMERA) < 3.0
 
 
-def test_poses_without_board_or_of_a_moving_arm_are_not_taken(cli, lab, tmp_path, monkeypatch):
-    away, good = np.array([0.5, -1.2, 1.0, -1.0, -1.5, 0.0]), joints()[0]
-    monkeypatch.setattr(sys, "stdin", Hand(lab, [away, good]))
+def test_poses_without_board_of_a_moving_arm_or_taken_twice_are_not_taken(cli, lab, tmp_path, monkeypatch):
+    away, (good, other) = np.array([0.5, -1.2, 1.0, -1.0, -1.5, 0.0]), joints()[:2]
+    monkeypatch.setattr(sys, "stdin", Hand(lab, [away, good, other, other]))
     look = lab.realsense.source
 
     def shaken() -> Frame:
@@ -153,7 +172,8 @@ def test_poses_without_board_or_of_a_moving_arm_are_not_taken(cli, lab, tmp_path
     assert result.code == 2
     assert "corners of the board are in view" in result.err
     assert "while the camera looked; hold it still" in result.err
-    assert "0 usable poses are too few" in result.err
+    assert "not taken: the arm is where it was at pose 001" in result.err
+    assert "1 usable poses are too few" in result.err
 
 
 def test_draws_a_board_to_print(cli, tmp_path):

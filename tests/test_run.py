@@ -132,6 +132,28 @@ def test_a_protective_stop_ends_the_run_and_is_recorded(run, lab):
     assert recorded.ended.end == "stopped"
 
 
+@pytest.mark.parametrize("where", ["at the question", "in the middle of a motion"])
+def test_an_interrupt_from_the_keyboard_is_recorded(run, lab, monkeypatch, where):
+    def interrupt(*_: object) -> str:
+        raise KeyboardInterrupt
+
+    if where == "at the question":
+        monkeypatch.setattr("thinkgrasp.lab.person.AtTheKeyboard.allows", interrupt)
+        result, out = run("")
+    else:
+        lab.after = lambda done: interrupt() if done == 200 else None
+        result, out = run("", "--no-confirm")
+    assert result.code == 130
+    assert "the robot was stopped where it is" in result.err
+    assert lab.stops == (where != "at the question")
+    assert not lab.running, "control is given back"
+    assert log(out)[-1]["event"] == "interrupted"
+    ended = read_episode(out).ended
+    assert ended is not None
+    assert ended.end == "interrupted"
+    assert (out / "report.html").is_file()
+
+
 def test_a_camera_that_was_moved_stops_before_the_first_move(run, lab, tmp_path):
     T = lab.view.T_world_camera
     lab.view = type(lab.view)(lab.view.intrinsics, make_transform(np.eye(3), np.array([0, 0, 0.03])) @ T)
@@ -150,7 +172,9 @@ def test_a_frozen_camera_is_an_error_and_what_was_done_is_kept(run, lab):
     events = log(out)
     assert events[-1]["event"] == "failed"
     assert [e["reason"] for e in events if e["event"] == "outcome"] == ["held"]
-    assert read_episode(out).ended is not None
+    recorded = read_episode(out)
+    assert [step.line.outcome.reason for step in recorded.steps if step.line.outcome] == ["held"]
+    assert recorded.ended is not None
 
 
 @pytest.mark.parametrize(
@@ -161,6 +185,8 @@ def test_a_frozen_camera_is_an_error_and_what_was_done_is_kept(run, lab):
         (("--camera", "webcam"), {}, "no camera named 'webcam'"),
         (("--camera-set", "serial=9"), {}, "no RealSense camera 9 is connected"),
         (("--arm-planner", "A*"), {}, "no arm planner 'A*'"),
+        (("--dry-run", "--robot-set", "dry_run=false"), {}, "--robot-set dry_run: that is said by the command's own"),
+        (("--robot-set", "person=null"), {}, "--robot-set person: that is said by"),
         ((), {"limits.tcp_speed_m_s": 3}, "limits.tcp_speed_m_s: Input should be less than or equal to 1"),
         ((), {"camera.file": "none.json"}, "camera file"),
         ((), {"camera.mount": "hand"}, "lacks T_flange_camera, which a camera that is mounted 'hand' needs"),

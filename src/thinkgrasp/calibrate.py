@@ -15,7 +15,7 @@ from PIL import Image
 from thinkgrasp import registry
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.handeye.board import Board, BoardFinder
-from thinkgrasp.handeye.camera_file import write_camera_file
+from thinkgrasp.handeye.camera_file import has_pose, read_record, write_camera_file
 from thinkgrasp.handeye.session import collect, read_session, report_lines
 from thinkgrasp.handeye.solve import HandEye, solve
 from thinkgrasp.interfaces import Camera
@@ -45,7 +45,8 @@ def run_calibration(
     """Find where the cell's camera is.
 
     Returns:
-        The result, and the camera file that was written; None where the error is too large to work with.
+        The result, and the camera file that was written; None where the error is too large to work with, or the
+        person keeps what the file holds, which is better.
 
     Raises:
         ConfigError: Cell, robot or camera cannot be used.
@@ -71,7 +72,7 @@ def run_calibration(
             link = URLink(cell.robot.host, control=False)
             stack.callback(link.close)
             try:
-                samples, intrinsics = collect(camera, lambda: ur5e.forward(link.state().q), finder, person, out)
+                samples, intrinsics = collect(camera, lambda: ur5e.forward(link.fresh().q), finder, person, out)
             except Halted as halt:
                 raise ConfigError(f"the poses cannot be taken: {halt.detail}") from halt
     result = solve(samples, cell.camera.mount)
@@ -89,16 +90,33 @@ def run_calibration(
         ],
     }
     write_atomic(out / REPORT_FILE, (json.dumps(report, indent=2) + "\n").encode())
-    if result.median_mm > HELD_OUT_MM or result.median_deg > HELD_OUT_DEG:
+    if not (result.median_mm <= HELD_OUT_MM and result.median_deg <= HELD_OUT_DEG):
         tell(
-            f"NOT WRITTEN: the error is above {HELD_OUT_MM:g} mm or {HELD_OUT_DEG:g} deg. Are the board's "
-            "sizes right (measure "
-            "them), is it flat and fixed, did arm and board stand still?"
+            f"NOT WRITTEN: the error is above {HELD_OUT_MM:g} mm or {HELD_OUT_DEG:g} deg. Are the board's sizes right "
+            "(measure them), is it flat and fixed, did arm and board stand still?"
         )
         return result, None
     path = options.cell.parent / cell.camera.file
+    if not _may_replace(path, result, person):
+        tell(f"NOT WRITTEN: {path} keeps the calibration that it holds")
+        return result, None
     write_camera_file(path, intrinsics, result, options.board, cell.mount.T_world_base)
     return result, path
+
+
+def _may_replace(path: Path, result: HandEye, person: Person) -> bool:
+    """Whether a camera file may take this result: asked where what it holds is better, or not known to be worse."""
+    if not path.exists():
+        return True
+    record = read_record(path)
+    if record is None:
+        return not has_pose(path) or person.confirms(f"{path} holds a pose of unknown error. Replace it?")
+    if round(result.median_mm, 3) <= record.held_out_mm and round(result.median_deg, 4) <= record.held_out_deg:
+        return True
+    return person.confirms(
+        f"{path} holds a calibration with an error of {record.held_out_mm:.2f} mm and {record.held_out_deg:.3f} deg; "
+        f"this one has {result.median_mm:.2f} mm and {result.median_deg:.3f} deg. Replace it?"
+    )
 
 
 def draw_board(board: Board, path: Path, dpi: int) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from thinkgrasp.errors import ConfigError
+from thinkgrasp.errors import ConfigError, ThinkGraspError
 from thinkgrasp.fusion import fuse
 from thinkgrasp.interfaces import Camera, Recorder, Robot
 from thinkgrasp.memory import Attempt, Memory
@@ -124,6 +124,11 @@ def run_episode(
         usage += decision.plan.usage
         return decision
 
+    def keep(decision: Decision, outcome: Outcome | None, start: float) -> None:
+        steps.append(Step(decision, outcome, time.perf_counter() - start))
+        for recorder in recorders:
+            recorder.record(decision, outcome)
+
     def finish(end: End) -> Episode:
         return Episode(instruction, tuple(steps), end, usage)
 
@@ -135,13 +140,15 @@ def run_episode(
         outcome: Outcome | None = None
         if decision.grasp is not None:
             outcome = robot.execute(decision.grasp, decision.scene.frame)
-            frame = cameras[0].read()
+            try:
+                frame = cameras[0].read()
+            except ThinkGraspError:  # what was executed is kept, whatever becomes of the camera
+                keep(decision, outcome, start)
+                raise
             if outcome.success and is_undone(decision, frame):
                 outcome = Outcome(False, "still_there")
             memory = remember(memory, decision, outcome)
-        steps.append(Step(decision, outcome, time.perf_counter() - start))
-        for recorder in recorders:
-            recorder.record(decision, outcome)
+        keep(decision, outcome, start)
         if decision.plan.out_of_budget:
             return finish("budget_spent")
         if outcome is None:

@@ -16,7 +16,7 @@ from thinkgrasp.cameras.calibration import read_calibration
 from thinkgrasp.cameras.placed import PlacedCamera
 from thinkgrasp.config import PipelineConfig, make_pipeline, override, to_json
 from thinkgrasp.episode import EpisodeHeader, EpisodeModel
-from thinkgrasp.errors import ConfigError, InputError, PluginNotFound
+from thinkgrasp.errors import ConfigError, PluginNotFound, ThinkGraspError
 from thinkgrasp.handeye.camera_file import read_pose, read_record
 from thinkgrasp.interfaces import Camera, Robot
 from thinkgrasp.lab.cell import Cell, load_cell
@@ -82,7 +82,8 @@ def run_on_robot(
 
     Raises:
         ConfigError: Cell, robot or camera cannot be used.
-        InputError: A camera file cannot be used; or the camera fails while it runs. What was finished is recorded.
+        InputError: A camera file cannot be used; or the camera fails while it runs. What was finished is recorded, as
+            it is when the run is interrupted.
         MissingDependency: A driver is not installed.
     """
     config = for_the_loop(config)
@@ -103,10 +104,14 @@ def run_on_robot(
         header = EpisodeHeader(instruction=options.instruction, goal="", preset=preset, seed=config.seed)
         recorder = EpisodeRecorder(out, header=header, gripper=pipeline.gripper)
         write_atomic(out / "config.json", to_json(config).encode())
+        placed = _placed(camera, cell, camera_file, robot)
         announcing = _Announcing(pipeline, out / NOW_FILE, tell)
         try:
+            prepare = getattr(robot, "prepare", None)
+            if prepare is not None:
+                prepare(placed.read())
             episode = run_episode(
-                [_placed(camera, cell, camera_file, robot)],
+                [placed],
                 cast(Pipeline, announcing),
                 robot,
                 options.instruction,
@@ -114,9 +119,12 @@ def run_on_robot(
                 recorders=[recorder, Teller(tell)],
                 stop=lambda: getattr(robot, "halted", None) is not None,
             )
-        except InputError as error:
-            journal.note("failed", detail=str(error))
-            recorder.finish(end="failed", success=False, usage=announcing.usage)
+        except (ThinkGraspError, KeyboardInterrupt) as error:
+            end = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+            journal.note(end, detail=str(error))
+            if end == "interrupted" and not options.dry_run:
+                tell("the robot was stopped where it is; look at it, and bring it home, before the next run")
+            recorder.finish(end=end, success=False, usage=announcing.usage)
             raise
         halted = cast(str | None, getattr(robot, "halted", None))
         journal.note("end", end=episode.end, halted=halted)
@@ -168,6 +176,12 @@ def _robot(
         "record": record,
         "planner": options.arm_planner,
     }
+    taken_over = sorted(set(options.robot_settings) & set(offered))
+    if taken_over:
+        raise ConfigError(
+            f"--robot-set {', '.join(taken_over)}: that is said by the command's own options (--cell, --dry-run, "
+            "--no-confirm, --arm-planner), and cannot be set beside them"
+        )
     taken = _taken_by(points[options.robot].load(), offered)
     if "cell" in taken and cell is None:
         raise ConfigError(f"the robot {options.robot!r} needs --cell FILE; docs/real_robot.md says what is in it")

@@ -153,8 +153,13 @@ def test_clocks_of_the_device_are_not_compared_with_ours(usb):
         ([("D455", "1"), ("L515", "2")], {}, r"more than one .* D455 \(1\), L515 \(2\); say which"),
         ([("D455", "1")], {"serial": "9"}, r"no RealSense camera '9' is connected; there is D455 \(1\)"),
         ([("D455", "1")], {"preset": "best"}, "no preset 'best'; allowed are .*high_accuracy"),
-        ([("D455", "1")], {"depth_frames": 0}, r"depth_frames must lie in 1\.\.30"),
-        ([("D455", "1")], {"color_size": (0, 480)}, "two positive numbers"),
+        ([("D455", "1")], {"timeout_s": float("nan")}, r"timeout_s must lie in \(0, 60\]"),
+        ([("D455", "1")], {"depth_frames": 0}, r"depth_frames must be a whole number in 1\.\.30"),
+        ([("D455", "1")], {"depth_frames": "many"}, r"depth_frames must be a whole number in 1\.\.30, got 'many'"),
+        ([("D455", "1")], {"fps": 29.97}, r"fps must be a whole number in 1\.\.300"),
+        ([("D455", "1")], {"color_size": "640x480"}, r"two positive whole numbers, as \[640, 480\], got '640x480'"),
+        ([("D455", "1")], {"depth_size": [640]}, "two positive whole numbers"),
+        ([("D455", "1")], {"color_size": (0, 480)}, "two positive whole numbers"),
     ],
 )
 def test_cameras_that_cannot_be_used(usb, devices, settings, message):
@@ -169,6 +174,37 @@ def test_streams_that_it_does_not_have(usb):
         ConfigError, match=r"cannot stream depth 848x480 .* Couldn't resolve requests; is it on a USB 3"
     ):
         RealSenseCamera()
+
+
+@pytest.mark.parametrize("scale", [0.0, -0.001, float("nan"), float("inf")])
+def test_depth_without_a_unit_is_none(usb, scale):
+    usb.scale = scale
+    with pytest.raises(ConfigError, match="depth is in units of"):
+        RealSenseCamera()
+    assert usb.stopped
+
+
+def test_settings_that_the_device_does_not_take(usb):
+    usb.option_error = "hwmon command 0x.. failed"
+    with pytest.raises(ConfigError, match="D455 cannot be set up: hwmon"):
+        RealSenseCamera()
+    assert usb.stopped
+    usb.option_error, usb.lacks = "", ("visual_preset", "emitter_enabled")
+    RealSenseCamera()
+    with pytest.raises(ConfigError, match="has no presets"):
+        RealSenseCamera(preset="high_density")
+
+
+def test_a_serial_number_may_be_given_as_a_number(usb):
+    """As --camera-set serial=123 gives it."""
+    assert RealSenseCamera(serial=123).serial == "123"
+
+
+def test_a_time_stamp_that_is_none_is_not_new(usb):
+    camera = RealSenseCamera()
+    usb.apart_ms = float("nan")
+    with pytest.raises(InputError, match="nan ms apart"):
+        camera.read()
 
 
 def test_a_lens_that_cannot_be_rectified(usb):

@@ -42,6 +42,9 @@ class WorldFingers:
         self.goal, self.told = self.counts.opening(position), self.world.opening()
         self.moving, self.still = True, 0
 
+    def stop(self) -> None:
+        self.moving = False
+
     def tick(self) -> None:
         if not self.moving:
             return
@@ -79,6 +82,8 @@ class FakeLab:
         moved: How many positions were sent.
         unlocked: How often a protective stop was released.
         lag_s: By how much the arm follows late, as servoJ does with its look-ahead.
+        time_s: What `clock` says; goes on by what is slept and a little by itself.
+        gap_s: How long the controller was not heard, as when the vendor's module connects again by itself.
     """
 
     def __init__(self, world: World, view: CameraView | None = None, *, noise: str | None = "l515") -> None:
@@ -92,6 +97,8 @@ class FakeLab:
         self.frozen_clock = False
         self.lag_s = 0.0
         self.controlled = False
+        self.time_s, self.gap_s, self.stamp_s, self.said = 0.0, 0.0, 0.0, 0
+        self.stopped_at_s = -np.inf
         self._last: np.ndarray | None = None
         self.gripper = FakeGripperServer(WorldFingers(world))
         self.camera = SimulatedCamera(world, self.view, noise=noise)
@@ -104,8 +111,19 @@ class FakeLab:
         with self.gripper.lock:
             return self.camera.read()
 
+    def clock(self) -> float:
+        self.time_s += 0.001
+        return self.time_s
+
+    def sleep(self, seconds: float) -> None:
+        self.time_s += seconds
+
     def protective_stop(self) -> None:
-        self.bits, self.running = PROTECTIVE, False
+        self.bits, self.running, self.stopped_at_s = PROTECTIVE, False, self.time_s
+
+    def takes_commands(self) -> bool:
+        """A program that is ended or paused takes none: the vendor's module says False then, and does nothing."""
+        return self.running and self.bits & (PROTECTIVE | SAFEGUARD | EMERGENCY) == 0
 
     # -- ur_rtde -----------------------------------------------------------------------------------------------------
 
@@ -141,6 +159,8 @@ class FakeLab:
 
     def method(self, name: str) -> Callable[..., Any]:
         def call(_self: Any, *args: Any) -> Any:
+            if not self.connected and not name.startswith("receive_") and not name.endswith(("disconnect", "Period")):
+                raise RuntimeError("Could not recover from losing connection to robot!")
             with self.gripper.lock:
                 return getattr(self, name)(*args)
 
@@ -153,12 +173,12 @@ class FakeLab:
         self.world.step(round(PERIOD_S / TIMESTEP_S))
         self.periods += 1
         self.after(self.periods)
-        if not self.running:
+        if not self.takes_commands():
             self.world.command(self.world.joints(), np.zeros(6))
 
     def control_servoJ(self, q: list[float], *rest: float) -> bool:  # noqa: N802
         assert len(rest) == 5
-        if not self.running:
+        if not self.takes_commands():
             return False
         self.moved += 1
         now = np.array(q)
@@ -170,6 +190,8 @@ class FakeLab:
         return True
 
     def control_servoStop(self, deceleration: float) -> bool:  # noqa: N802
+        if not self.takes_commands():
+            return False
         self.stops += 1
         self.world.command(self.world.joints(), np.zeros(6))
         self._last = None
@@ -179,10 +201,7 @@ class FakeLab:
         return as_pose(self.tcp)
 
     def control_setPayload(self, mass: float, center: list[float]) -> bool:  # noqa: N802
-        return True
-
-    def control_isProgramRunning(self) -> bool:  # noqa: N802
-        return self.running
+        return self.takes_commands()
 
     def control_reuploadScript(self) -> bool:  # noqa: N802
         self.running = True
@@ -220,15 +239,28 @@ class FakeLab:
         return self.slider
 
     def receive_getTimestamp(self) -> float:  # noqa: N802
-        return 0.0 if self.frozen_clock else self.world.time_s
+        if not self.frozen_clock:
+            self.said += 1  # the stream goes on while the arm stands still
+            self.stamp_s = 0.002 * self.said + self.world.time_s + self.gap_s
+        return self.stamp_s
+
+    def receive_getRobotStatus(self) -> int:  # noqa: N802
+        return 0b01 | self.running << 1
 
     def dashboard_connect(self) -> None: ...
 
     def dashboard_closeSafetyPopup(self) -> None: ...  # noqa: N802
 
     def dashboard_unlockProtectiveStop(self) -> None:  # noqa: N802
+        if self.time_s < self.stopped_at_s + 5.0:
+            raise RuntimeError("Unlock protective stop failure: Cannot unlock until 5s after occurrence")
         self.unlocked += 1
         self.bits = NORMAL
+
+    def dashboard_stop(self) -> None:
+        if not self.running:
+            raise RuntimeError("Failed to execute: stop")
+        self.running = False
 
     def dashboard_disconnect(self) -> None: ...
 

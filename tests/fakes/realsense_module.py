@@ -47,6 +47,8 @@ class FakeRealSense:
         apart_ms: Between colour and depth.
         domain: Of the time stamps.
         model, coeffs: Of the lens.
+        lacks: Names of the options that it does not have.
+        option_error: What setting an option raises.
     """
 
     source: Callable[[], Frame]
@@ -63,6 +65,8 @@ class FakeRealSense:
     coeffs: tuple[float, ...] = (0.0,) * 5
     scale: float = 0.001
     refuses: str = ""
+    lacks: tuple[str, ...] = ()
+    option_error: str = ""
     queued: int = 0
     options: dict[str, float] = field(default_factory=dict)
     streams: list[tuple[Any, ...]] = field(default_factory=list)
@@ -106,9 +110,11 @@ class FakeRealSense:
                 return camera.scale
 
             def supports(self, option: str) -> bool:
-                return True
+                return option not in camera.lacks
 
             def set_option(self, option: str, value: float) -> None:
+                if camera.option_error:
+                    raise RuntimeError(camera.option_error)
                 camera.options[option] = value
 
         class Config:

@@ -16,6 +16,8 @@ class Mechanism(Protocol):
 
     def go(self, position: int) -> None: ...
 
+    def stop(self) -> None: ...
+
     def tick(self) -> None: ...
 
     @property
@@ -34,6 +36,9 @@ class Fingers:
 
     def go(self, position: int) -> None:
         self.target, self.moving = position, True
+
+    def stop(self) -> None:
+        self.moving = False
 
     def tick(self) -> None:
         if not self.moving:
@@ -70,15 +75,19 @@ class FakeGripperServer:
         ending: What a line ends with.
         pieces: Replies are sent in so many pieces.
         delay_s: Before each reply.
+        late: So many looks at OBJ after a request still say what was before it.
+        ack_ending: What an "ack" ends with; None = as every line.
     """
 
     def __init__(self, fingers: Mechanism | None = None, *, active: bool = True) -> None:
         self.fingers: Mechanism = fingers or Fingers()
         on = int(active)
-        self.registers = {"ACT": on, "GTO": on, "STA": 3 * on, "FLT": 0, "PRE": 3, "SPE": 0, "FOR": 0, "ATR": 0}
+        self.registers = {"ACT": on, "GTO": 0, "STA": 3 * on, "FLT": 0, "PRE": 3, "SPE": 0, "FOR": 0, "ATR": 0}
         self.requests: list[str] = []
+        self.ack_ending: bytes | None = None
         self.spoil: Callable[[str, bytes], bytes | None] = lambda request, reply: reply
         self.ending, self.pieces, self.delay_s = b"\n", 1, 0.0
+        self.late, self._before, self._activating = 0, (0, 3), 0
         self.lock = threading.RLock()
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port = self._listener.getsockname()[1]
@@ -127,7 +136,8 @@ class FakeGripperServer:
             return False
         if self.delay_s:
             time.sleep(self.delay_s)
-        whole = reply + self.ending if reply else b""
+        ending = self.ack_ending if reply == b"ack" and self.ack_ending is not None else self.ending
+        whole = reply + ending if reply else b""
         size = max(1, -(-len(whole) // self.pieces))
         for start in range(0, len(whole), size):
             connection.sendall(whole[start : start + size])
@@ -140,19 +150,29 @@ class FakeGripperServer:
         if words[0] == "GET":
             self.fingers.tick()
             name = words[1]
+            if name == "OBJ" and self._before[0] > 0:
+                self._before = (self._before[0] - 1, self._before[1])
+                return f"OBJ {self._before[1]}".encode()
+            if name == "STA" and self._activating > 0:
+                self._activating -= 1
+                self.registers["STA"] = 1 if self._activating else 3
             value = {"POS": self.fingers.position, "OBJ": self.fingers.seen}.get(name, self.registers.get(name, 0))
             return f"{name} {value}".encode()
-        for name, value in zip(words[1::2], map(int, words[2::2]), strict=True):
-            self._set(name, value)
+        values = dict(zip(words[1::2], map(int, words[2::2]), strict=True))
+        for name in sorted(values, key=lambda n: n == "POS"):  # one write of all registers: GTO counts with POS
+            self._set(name, values[name])
         return b"ack"
 
     def _set(self, name: str, value: int) -> None:
         self.registers[name] = value
         if name == "ACT":
-            self.registers["STA"] = 3 if value else 0
+            self.registers["STA"], self._activating = 0, 3 * value
+        if name == "GTO" and not value:
+            self.fingers.stop()
         if name == "POS":
             self.registers["PRE"] = value
         if self.registers["GTO"] and self.registers["STA"] == 3 and name == "POS":
+            self._before = (self.late, self.fingers.seen)
             self.fingers.go(value)
 
 

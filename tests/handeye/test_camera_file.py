@@ -76,7 +76,9 @@ def test_poses_that_are_none(tmp_path, content, message):
         read_pose(path, "fixed")
 
 
-@pytest.mark.parametrize("record", [5, {}, {"mount": "fixed", "T_world_base": 1}])
+@pytest.mark.parametrize(
+    "record", [5, {}, {"mount": "fixed", "T_world_base": 1}, {"mount": ["hand"]}, {"mount": "wall"}]
+)
 def test_records_that_are_none(tmp_path, record):
     path = tmp_path / "camera.json"
     path.write_text(json.dumps({"hand_eye": record}))

@@ -14,7 +14,7 @@ pytest.importorskip("cv2", reason="needs thinkgrasp[calibration]")
 from thinkgrasp.errors import InputError
 from thinkgrasp.geometry import invert, make_transform
 from thinkgrasp.handeye.session import report_lines
-from thinkgrasp.handeye.solve import MIN_POSES, solve
+from thinkgrasp.handeye.solve import MIN_POSES, Sample, solve
 
 TRUTH = {"fixed": (T_BASE_CAMERA, T_FLANGE_BOARD), "hand": (T_FLANGE_CAMERA, T_BASE_BOARD)}
 MOUNTS = ("fixed", "hand")
@@ -81,6 +81,33 @@ def test_moves_without_turns_are_refused():
 def test_too_few_poses_are_refused():
     with pytest.raises(InputError, match=f"{MIN_POSES - 1} usable poses are too few; at least {MIN_POSES}"):
         solve(samples("fixed", MIN_POSES - 1), "fixed")
+
+
+def repeated(poses: list[Sample], times: int) -> list[Sample]:
+    """The same places of the arm again and again, the board seen with noise of its own each time."""
+    rng, made = np.random.default_rng(1), []
+    for k in range(times):
+        for s in poses:
+            seen = s.T_camera_board.copy()
+            seen[:3, 3] += 1e-5 * rng.normal(size=3)
+            made.append(replace(s, T_camera_board=seen, name=f"{s.name}-{k}"))
+    return made
+
+
+def test_one_pose_taken_again_and_again_is_one_pose():
+    few = samples("fixed", 4, noise_mm=3.0, noise_deg=0.3)
+    with pytest.raises(
+        InputError, match=r"of 16 poses only 4 are more than 3 deg or 10 mm from one another; at least 8"
+    ):
+        solve(repeated(few, 4), "fixed")
+
+
+def test_a_pose_that_was_repeated_does_not_make_the_error_look_smaller():
+    """What is left out is left out with its repetitions."""
+    poses = samples("fixed", MIN_POSES, noise_mm=3.0, noise_deg=0.3)
+    once, often = solve(poses, "fixed"), solve(repeated(poses, 2), "fixed")
+    assert often.median_mm == pytest.approx(once.median_mm, rel=0.05)
+    assert often.median_deg == pytest.approx(once.median_deg, rel=0.05)
 
 
 def test_poses_that_are_none_are_refused():

@@ -66,6 +66,7 @@ def test_another_arm_is_noticed():
         (CalibrationRecord("fixed", shift(y=0.004), 2.0, 0.2, 15), "failed"),
         (CalibrationRecord("fixed", np.eye(4), 2.0, 2.0, 15), "failed"),
         (CalibrationRecord("hand", np.eye(4), 2.0, 0.2, 15), "failed"),
+        (CalibrationRecord("fixed", np.eye(4), float("nan"), 0.2, 15), "failed"),
     ],
 )
 def test_the_record(record, state):

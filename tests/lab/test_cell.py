@@ -58,6 +58,7 @@ def test_speeds_are_cut_to_a_share_and_never_raised():
     half = cell.slowed(0.5)
     assert half.limits.joint_speed_rad_s == cell.limits.joint_speed_rad_s / 2
     assert half.limits.tcp_speed_m_s == cell.limits.tcp_speed_m_s / 2
+    assert half.robot.gripper.speed_m_s == cell.robot.gripper.speed_m_s / 2
     assert half.limits.force_n == cell.limits.force_n
     for share in (1.01, 0.0, -1.0, float("nan")):
         with pytest.raises(ConfigError, match="limits are raised in the cell file only"):
@@ -73,6 +74,7 @@ def test_speeds_are_cut_to_a_share_and_never_raised():
         ("robot.home_rad", [0, float("nan"), 0, 0, 0, 0], "robot.home_rad.1: Input should be a finite number"),
         ("robot.home_rad", [9, 0, 0, 0, 0, 0], "robot.home_rad is outside of the joints' ranges"),
         ("robot.home_rad", [0, 0, 0, 0, 0, 0], "at robot.home_rad the fingertips are at"),
+        ("workspace_m", [[0.0, -0.42, -0.005], [0.95, 0.78, 0.5]], "at robot.home_rad the flange is at"),
         ("robot.T_world_base", np.diag([1.0, -1, -1, 1]).tolist(), "T_world_base may turn about z only"),
         ("robot.T_world_base", (2 * np.eye(4)).tolist(), "T_world_base must be a finite 4x4"),
         ("robot.T_world_base", np.eye(3).tolist(), "robot.T_world_base"),
@@ -84,6 +86,9 @@ def test_speeds_are_cut_to_a_share_and_never_raised():
         ("limits.joint_speed_rad_s", 4.0, "limits.joint_speed_rad_s: Input should be less than or equal to 2.1"),
         ("limits.tcp_speed_m_s", 1.5, "limits.tcp_speed_m_s: Input should be less than or equal to 1"),
         ("limits.approach_speed_m_s", 0.5, "limits.approach_speed_m_s"),
+        ("limits.tcp_speed_m_s", True, "limits.tcp_speed_m_s: Input should be a valid number"),
+        ("limits.tcp_speed_m_s", "0.2", "limits.tcp_speed_m_s: Input should be a valid number"),
+        ("grasping_m", [[0.3, -0.4, 0.0], [0.8, 0.4, True]], "grasping_m.1.2: Input should be a valid number"),
         ("limits.force_n", 500, "limits.force_n: Input should be less than or equal to 150"),
         ("limits.force_n", 0, "limits.force_n"),
         ("workspace_m", [[1, 1, 1], [0, 0, 0]], "workspace_m must be two corners, the lowest first"),

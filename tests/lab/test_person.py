@@ -42,6 +42,35 @@ def test_answers(typed, answer):
     assert "MOVE straight in: 2.0 s. Go?" in out.getvalue()
 
 
+class Gone(io.StringIO):
+    def __init__(self, error: Exception) -> None:
+        super().__init__()
+        self.error = error
+
+    def readline(self, size: int = -1, /) -> str:
+        raise self.error
+
+
+@pytest.mark.parametrize(
+    ("error", "answer"),
+    [
+        (ValueError("I/O operation on closed file"), "stop"),
+        (OSError(5, "Input/output error"), "stop"),
+        (UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte"), "no"),
+    ],
+)
+def test_a_keyboard_that_is_gone_or_babbles_is_no_yes(error, answer):
+    out = io.StringIO()
+    assert AtTheKeyboard(Gone(error), out).allows(MOTION) == answer
+    assert ("input has ended" in out.getvalue()) == (answer == "stop")
+
+
+def test_a_program_without_an_input_is_stopped(monkeypatch):
+    monkeypatch.setattr("sys.stdin", None)
+    assert AtTheKeyboard(questions=io.StringIO()).allows(MOTION) == "stop"
+    assert AtTheKeyboard(questions=io.StringIO()).confirms("Release it?") is False
+
+
 def test_what_was_typed_before_the_question_is_no_answer():
     """Somebody hits "y" twice: the second one must not let the next motion go."""
     pytest.importorskip("termios", reason="needs a POSIX terminal")
@@ -132,6 +161,14 @@ def test_a_dry_run_of_any_robot_moves_nothing():
     assert guarded(robot, person, dry_run=True).execute(grasp(), FRAME) == Outcome(False, "dry_run")
     assert robot.grasps == []
     assert "would move" in person.told[0]
+
+
+def test_a_robot_that_is_halted_by_itself_is_halted():
+    robot = Obedient()
+    robot.halted = "protective_stop"  # type: ignore[attr-defined]
+    assert guarded(robot, ScriptedPerson()).halted == "protective_stop"
+    assert guarded(robot, ScriptedPerson()).execute(grasp(), FRAME) == Outcome(False, "protective_stop")
+    assert robot.grasps == []
 
 
 def test_a_guarded_robot_keeps_the_contract():

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 from fakes.robotiq_server import FakeGripperServer, Fingers, gripper_server
 
 from thinkgrasp.errors import ConfigError
+from thinkgrasp.robots import robotiq
 from thinkgrasp.robots.robotiq import Counts, GripperError, GripperSilent, RobotiqGripper, Seen
 
 
@@ -141,6 +144,64 @@ def test_activates_only_where_it_is_not(connect):
         assert not any(r.startswith("SET") for r in server.requests)
 
 
+def test_an_activation_asks_for_no_position(connect):
+    """GTO would send the fingers to wherever POS was left by whoever used the gripper before."""
+    with gripper_server(Fingers(position=3), active=False) as server:
+        server.registers["POS"] = 255
+        connect(server).activate()
+        assert server.registers["GTO"] == 0
+
+
+def test_an_interrupted_activation_is_taken_back(connect):
+    with gripper_server(active=False) as server:
+        gripper = connect(server)
+
+        def interrupt(seconds: float) -> None:
+            if server.registers["ACT"]:
+                raise KeyboardInterrupt
+
+        gripper._sleep = interrupt
+        with pytest.raises(KeyboardInterrupt):
+            gripper.activate()
+        assert server.registers["ACT"] == 0
+
+
+@pytest.mark.parametrize("goal", [0.0, 0.03])
+def test_a_word_that_comes_late_is_not_believed(connect, server, goal):
+    """OBJ may say for a while that the fingers are where they were told to be the time before."""
+    server.late = 4
+    assert connect(server).move(goal).opening_m == pytest.approx(goal, abs=3e-4)
+
+
+def test_an_ack_without_line_end_is_not_waited_for(connect, server):
+    """The gripper's own program compares with "ack" alone, while registers come as lines."""
+    server.ack_ending = b""
+    gripper = connect(server)
+    gripper.get("POS")
+    gripper.move(0.03)
+    assert gripper._end_lines == {robotiq._REPLY}
+
+
+def test_pads_that_meet_hold_nothing_whatever_the_gripper_says(connect, server):
+    server.spoil = lambda request, reply: b"OBJ 2" if reply[:3] == b"OBJ" and server.fingers.seen else reply
+    assert not connect(server).grip().has_object
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_fingers_stop_when_they_are_not_waited_for_any_more(connect, server, error):
+    gripper = connect(server)
+
+    def interrupted(seconds: float) -> None:
+        raise error
+
+    gripper._sleep = interrupted
+    with pytest.raises(error):
+        gripper.grip()
+    assert server.registers["GTO"] == 0
+    at = server.fingers.position
+    assert gripper.get("POS") == at < 228
+
+
 def test_halt_never_raises(connect, server):
     gripper = connect(server)
     gripper.halt()
@@ -217,8 +278,6 @@ def test_a_late_reply_is_not_taken_for_the_next(connect, server):
     with pytest.raises(GripperSilent):
         gripper.get("POS")
     server.delay_s = 0.0
-    import time
-
     time.sleep(0.2)
     assert gripper.get("STA") == 3
 

@@ -24,6 +24,7 @@ from thinkgrasp.geometry import make_transform
 from thinkgrasp.lab.agreement import CalibrationRecord
 from thinkgrasp.motion.cell import HOME_RAD
 from thinkgrasp.motion.robotiq_2f85 import flange_to_tip
+from thinkgrasp.motion.trajectory import time_path
 from thinkgrasp.robots.ur_link import Halted
 from thinkgrasp.robots.ur_rtde import URRobot
 from thinkgrasp.sim.tabletop import pose
@@ -68,7 +69,7 @@ class Scene:
 
     def robot(self, person: ScriptedPerson | None = None, cell: dict[str, Any] | None = None, **settings) -> URRobot:
         made = make_cell(self.lab.gripper.port, **(cell or {}))
-        settings.setdefault("sleep", lambda s: None)
+        settings = {"sleep": self.lab.sleep, "clock": self.lab.clock, **settings}
         self.robots.append(URRobot(cell=made, person=person or ScriptedPerson(), **settings))
         return self.robots[-1]
 
@@ -233,6 +234,59 @@ def test_keeps_the_contract_of_a_robot(scene):
     testing.check_robot(scene.robot())
 
 
+# -- an arm that is not at home --------------------------------------------------------------------------------------
+
+AWAY = np.add(HOME_RAD, [-0.5, 0.1, -0.2, 0.1, 0.0, 0.3])
+
+
+def test_an_arm_that_is_elsewhere_does_not_take_what_the_camera_saw(scene):
+    """The camera may have taken the arm itself for a thing."""
+    scene.world.set_joints(AWAY, 0.085)
+    robot = scene.robot()
+    assert robot.execute(scene.grasp(), scene.lab.camera.read()) == Outcome(False, "not_at_home")
+    assert scene.untouched()
+    assert robot.halted == "not_at_home"
+
+
+def test_it_comes_home_first_when_the_person_agrees(scene):
+    scene.world.set_joints(AWAY, 0.085)
+    person = ScriptedPerson()
+    robot = scene.robot(person)
+    robot.prepare(scene.lab.camera.read())
+    assert [m.name for m in person.asked] == ["home"]
+    assert "from home" in " ".join(person.told)
+    assert robot.halted is None
+    assert scene.is_home()
+    assert robot.execute(scene.grasp(), scene.frame).success
+
+
+@pytest.mark.parametrize(("answer", "halted"), [("no", None), ("stop", "stopped_by_person")])
+def test_it_stays_away_when_the_person_does_not_agree(scene, answer, halted):
+    scene.world.set_joints(AWAY, 0.085)
+    robot = scene.robot(ScriptedPerson([answer]))
+    robot.prepare(scene.lab.camera.read())
+    assert scene.lab.moved == 0
+    assert robot.halted == halted
+    assert not robot.execute(scene.grasp(), scene.frame).success
+    assert scene.lab.moved == 0
+
+
+def test_an_arm_at_home_is_not_asked_about(scene):
+    person = ScriptedPerson()
+    scene.robot(person).prepare(scene.frame)
+    assert (person.asked, person.told, scene.lab.moved) == ([], [], 0)
+
+
+def test_a_dry_run_says_that_the_arm_is_elsewhere_and_plans_all_the_same(scene):
+    scene.world.set_joints(AWAY, 0.085)
+    person = ScriptedPerson()
+    robot = scene.robot(person, dry_run=True)
+    robot.prepare(scene.frame)
+    assert "from home" in " ".join(person.told)
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "dry_run")
+    assert scene.untouched()
+
+
 # -- nothing moves before all checks pass ----------------------------------------------------------------------------
 
 
@@ -268,8 +322,10 @@ def test_a_grasp_under_the_table_or_too_near_to_it_is_refused(scene):
 
 
 def test_a_way_that_leaves_the_box_is_refused_before_anything_moves(scene):
-    # The bin's way leads higher than a box that ends just above what the fingertips need at home.
-    robot = scene.robot(cell={"workspace_m": [[0.0, -0.42, -0.005], [0.95, 0.78, 0.60]]})
+    robot = scene.robot()
+    robot.motion.plan_to_poses = lambda q, *rest: time_path(  # type: ignore[method-assign]
+        np.array([q, np.add(q, [-1.5, 0.0, 0.0, 0.0, 0.0, 0.0]), q]), robot.cell.joint_limits
+    )
     assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "outside_workspace")
     assert scene.untouched()
 
@@ -399,6 +455,13 @@ def test_the_person_says_stop(scene):
     assert scene.lab.moved == 0
 
 
+def test_stop_with_something_in_the_fingers_leaves_their_grip(scene):
+    robot = scene.robot(ScriptedPerson(["yes"] * MOTIONS.index("to the bin") + ["stop"]))
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "stopped_by_person")
+    assert scene.lab.gripper.registers["GTO"] == 1
+    assert scene.world.held() == 0
+
+
 # -- while it moves --------------------------------------------------------------------------------------------------
 
 
@@ -442,6 +505,67 @@ def test_a_fault_in_the_middle_of_a_motion_stops_everything(scene, reason, perio
     assert scene.lab.moved == moved, "nothing more was sent"
     assert events(robot, "halted")[0]["reason"] == reason
     assert scene.lab.unlocked == 0, "a protective stop is never released by itself"
+
+
+@pytest.mark.parametrize("reason", ["safeguard_stop", "off_track"])
+def test_after_a_stop_the_arm_has_no_position_left_to_go_to(scene, reason):
+    """A paused program takes no command, and goes on to the last position when it is resumed: it has to be ended."""
+    robot = scene.robot()
+    after(scene.lab, 30, lambda: FAULTS[reason](scene.lab))
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, reason)
+    assert scene.lab.stops == 1 or not scene.lab.running
+
+
+def test_an_arm_that_cannot_be_told_to_stop_is_said(scene):
+    robot = scene.robot()
+    after(scene.lab, 30, lambda: FAULTS["connection_lost"](scene.lab))
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert "use the emergency stop" in str(events(robot, "halted")[0]["detail"])
+
+
+def test_a_motion_that_ends_without_the_servo_letting_go_is_none(scene):
+    robot = scene.robot()
+    scene.lab.control_servoStop = lambda deceleration: False
+    scene.lab.dashboard_stop = lambda: (_ for _ in ()).throw(RuntimeError("Failed to execute: stop"))
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert "use the emergency stop" in str(events(robot, "halted")[0]["detail"])
+
+
+def test_a_motion_does_not_go_on_after_the_vendors_module_has_connected_again(scene):
+    robot = scene.robot()
+    after(scene.lab, 40, lambda: setattr(scene.lab, "gap_s", 3.0))
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert robot.halted == "connection_lost"
+    assert scene.lab.moved < 45
+
+
+def test_a_stream_that_stops_in_the_middle_of_a_motion(scene):
+    robot = scene.robot(**frozen_clock(scene))
+    after(scene.lab, 40, lambda: setattr(scene.lab, "frozen_clock", True))
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert scene.lab.moved < 50
+
+
+def test_a_stream_that_stopped_while_the_question_was_open(scene):
+    """The vendor's module goes on to return what it heard last, which looks fine."""
+    robot = scene.robot()
+
+    def allow(motion):
+        scene.lab.frozen_clock = motion.name == "to the pre-grasp"
+        return "yes"
+
+    robot.person.allows = allow  # type: ignore[method-assign]
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert scene.lab.moved == 0
+    with pytest.raises(InputError, match="nothing new came from the robot"):
+        robot.T_world_flange()
+
+
+def test_a_payload_that_the_controller_does_not_take(scene):
+    robot = scene.robot()
+    scene.lab.control_setPayload = lambda mass, center: False
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert scene.lab.moved == 0
 
 
 def test_a_program_that_was_stopped_on_the_pendant(scene):
@@ -516,6 +640,47 @@ class TestProtectiveStop:
         scene.lab.after = lambda done: None
         assert robot.execute(scene.grasp(), scene.frame).success
 
+    def test_is_released_late_and_its_program_starts_late(self, scene):
+        """The controller refuses for five seconds, and says for a while that it is still stopped."""
+        unlock, reupload = scene.lab.dashboard_unlockProtectiveStop, scene.lab.control_reuploadScript
+
+        def later(what: Callable[[], Any], seconds: float) -> None:
+            due = scene.lab.time_s + seconds
+            look = scene.lab.receive_getSafetyStatusBits
+            scene.lab.receive_getSafetyStatusBits = lambda: (
+                (what() if scene.lab.time_s > due and scene.lab.bits == PROTECTIVE else None) or look()
+            )
+
+        def release() -> None:
+            unlock()
+            scene.lab.bits = PROTECTIVE
+            later(lambda: setattr(scene.lab, "bits", NORMAL), 1.0)
+
+        def upload() -> bool:
+            assert scene.lab.bits == NORMAL, "no program starts in a protective stop"
+            return reupload()
+
+        scene.lab.dashboard_unlockProtectiveStop, scene.lab.control_reuploadScript = release, upload
+        robot, outcome = self.stopped(scene, ScriptedPerson(confirms=[True]))
+        assert outcome == Outcome(False, "protective_stop")
+        assert scene.lab.unlocked == 1
+        assert robot.halted is None
+        assert scene.is_home()
+
+    def test_stays_when_its_program_does_not_start_again(self, scene):
+        scene.lab.control_reuploadScript = lambda: False
+        robot, outcome = self.stopped(scene, ScriptedPerson(confirms=[True]))
+        assert (outcome.reason, robot.halted) == ("protective_stop", "protective_stop")
+
+    def test_released_before_anything_was_looked_at_moves_nothing(self, scene):
+        scene.lab.protective_stop()
+        person = ScriptedPerson(confirms=[True])
+        robot = scene.robot(person)
+        assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "protective_stop")
+        assert (scene.lab.unlocked, robot.halted) == (1, None)
+        assert scene.untouched()
+        assert person.asked == []
+
     def test_stays_when_the_person_says_no(self, scene):
         robot, outcome = self.stopped(scene, ScriptedPerson(confirms=[False]))
         assert outcome == Outcome(False, "protective_stop")
@@ -574,6 +739,7 @@ def test_a_gripper_that_does_not_open_as_told(scene):
     robot = scene.robot()
     assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "gripper_fault")
     assert scene.lab.moved == 0
+    assert scene.lab.gripper.registers["GTO"] == 0
 
 
 def test_an_inactive_gripper_is_activated_when_the_person_agrees(scene):
@@ -609,6 +775,13 @@ def test_joint_angles_that_are_none(scene):
     scene.lab.receive_getActualQ = lambda: [np.nan] * 6
     with pytest.raises(Halted, match="joint angles that are none"):
         robot.link.state()
+    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
+    assert scene.untouched()
+
+
+def test_forces_that_are_missing(scene):
+    robot = scene.robot()
+    scene.lab.receive_getActualTCPForce = list
     assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
     assert scene.untouched()
 

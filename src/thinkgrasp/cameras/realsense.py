@@ -6,8 +6,9 @@ A frame is returned only when it is new: newer than the call, numbered after the
 from __future__ import annotations
 
 import contextlib
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,7 +55,7 @@ class RealSenseCamera:
     """A RealSense on USB.
 
     Args:
-        serial: Serial number; None = the only one connected.
+        serial: Serial number, as digits or a number; None = the only one connected.
         color_size: Width and height of the frames.
         depth_size: Of the depth stream before it is aligned; None = the model's best.
         fps: Frames a second.
@@ -72,7 +73,7 @@ class RealSenseCamera:
     def __init__(
         self,
         *,
-        serial: str | None = None,
+        serial: str | int | None = None,
         color_size: Size = COLOR_WH,
         depth_size: Size | None = None,
         fps: int = 30,
@@ -81,8 +82,11 @@ class RealSenseCamera:
         timeout_s: float = 2.0,
         clock: Callable[[], float] = time.time,
     ) -> None:
-        if not 1 <= depth_frames <= 30:
-            raise ConfigError(f"realsense: depth_frames must lie in 1..30, got {depth_frames}")
+        for name, number, most in (("depth_frames", depth_frames, 30), ("fps", fps, 300)):
+            if type(number) is not int or not 1 <= number <= most:
+                raise ConfigError(f"realsense: {name} must be a whole number in 1..{most}, got {number!r}")
+        if not 0 < timeout_s <= 60:
+            raise ConfigError(f"realsense: timeout_s must lie in (0, 60], got {timeout_s}")
         self._rs = rs = _sdk()
         self._clock, self._timeout_ms, self._depth_frames = clock, round(timeout_s * 1e3), depth_frames
         self.name, self.serial = self._find(serial)
@@ -103,12 +107,17 @@ class RealSenseCamera:
             ) from error
         try:
             sensor = profile.get_device().first_depth_sensor()
-            self.depth_scale = float(sensor.get_depth_scale())
             self._configure(sensor, model, preset)
+            self.depth_scale = float(sensor.get_depth_scale())  # a preset may change it
+            if not (math.isfinite(self.depth_scale) and self.depth_scale > 0):
+                raise ConfigError(f"{self.name} says that its depth is in units of {self.depth_scale} m")
             self.intrinsics, self.lens = _intrinsics(
                 profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
             )
             self._rectifier = Rectifier(self.intrinsics, self.lens)
+        except RuntimeError as error:
+            self._pipeline.stop()
+            raise ConfigError(f"{self.name} cannot be set up: {error}") from error
         except BaseException:
             self._pipeline.stop()
             raise
@@ -172,13 +181,13 @@ class RealSenseCamera:
     def _problem(self, number: int, stamp_ms: float, color_ms: float, depth: Any) -> str:
         """Say what is wrong with a frame; empty where nothing is."""
         last_number, last_ms = self._last
-        if number <= last_number or stamp_ms <= last_ms:
+        if not (number > last_number and stamp_ms > last_ms):
             return f"frame {number} is not newer than frame {last_number} that was used before: the camera is frozen"
-        if abs(stamp_ms - color_ms) > APART_MS:
+        if not abs(stamp_ms - color_ms) <= APART_MS:
             return f"colour and depth of frame {number} are {abs(stamp_ms - color_ms):.0f} ms apart"
         if depth.get_frame_timestamp_domain() != self._rs.timestamp_domain.hardware_clock:
             age_s = self._clock() - stamp_ms / 1e3
-            if age_s > STALE_S:
+            if not age_s <= STALE_S:
                 return f"frame {number} was taken {age_s:.1f} s ago"
         return ""
 
@@ -202,10 +211,14 @@ class RealSenseCamera:
             except RuntimeError as error:
                 raise InputError(f"{self.name} cannot be read: {error}") from error
 
-    def _find(self, serial: str | None) -> tuple[str, str]:
+    def _find(self, serial: str | int | None) -> tuple[str, str]:
         """Return name and serial number of the camera."""
         info = self._rs.camera_info
-        found = [(d.get_info(info.name), d.get_info(info.serial_number)) for d in self._rs.context().query_devices()]
+        try:
+            devices = self._rs.context().query_devices()
+            found = [(d.get_info(info.name), d.get_info(info.serial_number)) for d in devices]
+        except RuntimeError as error:
+            raise ConfigError(f"the RealSense cameras cannot be listed: {error}; unplug and plug in again") from error
         if not found:
             raise ConfigError(f"no RealSense camera is connected; {L515_HINT}")
         listed = ", ".join(f"{name} ({number})" for name, number in found)
@@ -216,7 +229,7 @@ class RealSenseCamera:
                 )
             return found[0]
         for name, number in found:
-            if number == serial:
+            if number == str(serial):
                 return name, number
         raise ConfigError(f"no RealSense camera {serial!r} is connected; there is {listed}; {L515_HINT}")
 
@@ -237,6 +250,8 @@ class RealSenseCamera:
         for name, value in settings:
             if sensor.supports(getattr(option, name)):
                 sensor.set_option(getattr(option, name), value)
+            elif name == "visual_preset" and preset is not None:
+                raise ConfigError(f"{self.name} has no presets; leave the setting preset out")
 
 
 def _sdk() -> Any:
@@ -253,10 +268,10 @@ def _sdk() -> Any:
 
 
 def _size(size: Size) -> Size:
-    width, height = (int(s) for s in size)
-    if width <= 0 or height <= 0:
-        raise ConfigError(f"realsense: a size must be two positive numbers, got {size}")
-    return width, height
+    given: Sequence[object] = size if isinstance(size, list | tuple) else ()
+    if len(given) != 2 or not all(type(s) is int and s > 0 for s in given):
+        raise ConfigError(f"realsense: a size must be two positive whole numbers, as [640, 480], got {size!r}")
+    return size[0], size[1]
 
 
 def _intrinsics(seen: Any) -> tuple[CameraIntrinsics, Lens]:

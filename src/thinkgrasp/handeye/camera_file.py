@@ -67,6 +67,15 @@ def read_pose(path: Path, mount: Literal["fixed", "hand"]) -> Float:
     return _transform(data[key], f"camera file {path}: {key}")
 
 
+def has_pose(path: Path) -> bool:
+    """Whether a camera file says where its camera is.
+
+    Raises:
+        InputError: It is no JSON object.
+    """
+    return any(key in _read(path) for key in _POSES.values())
+
+
 def read_record(path: Path) -> CalibrationRecord | None:
     """Return what a camera file says of how its pose was found; None where it says nothing.
 
@@ -78,6 +87,8 @@ def read_record(path: Path) -> CalibrationRecord | None:
         return None
     record, where = data[RECORD], f"camera file {path}: {RECORD}"
     try:
+        if record["mount"] not in _POSES:
+            raise ValueError(f"mount is {record['mount']!r}")
         return CalibrationRecord(
             mount=record["mount"],
             T_world_base=_transform(record["T_world_base"], f"{where}.T_world_base"),

@@ -17,7 +17,7 @@ from PIL import Image
 
 from thinkgrasp.errors import InputError
 from thinkgrasp.handeye.board import BoardFinder, BoardView
-from thinkgrasp.handeye.solve import MIN_POSES, HandEye, Sample
+from thinkgrasp.handeye.solve import MIN_POSES, HandEye, Sample, repeats
 from thinkgrasp.interfaces import Camera
 from thinkgrasp.lab.person import Person
 from thinkgrasp.outputs import make_folder, write_atomic
@@ -40,20 +40,18 @@ def collect(
         flange: Returns T_base_flange (4, 4) now.
         finder: Of the board.
         person: Moves the arm and is asked for each pose.
-        folder: Where poses are kept; those that are there are replaced.
+        folder: Where poses are kept; those that are there are replaced if the person agrees.
 
     Raises:
-        InputError: The camera fails, or the folder cannot be written.
+        InputError: The camera fails, the folder cannot be written, or holds poses that are not to be replaced.
     """
     make_folder(folder)
-    for old in (*folder.glob("pose_*.png"), *folder.glob("pose_*.json")):
-        old.unlink()
+    _make_room(folder, person)
     samples: list[Sample] = []
     intrinsics: CameraIntrinsics | None = None
     person.tell(
         "Move the arm by hand (freedrive), turn the wrist about different axes, hold still. At least "
-        f"{MIN_POSES} poses, "
-        f"better {GOOD_POSES}; answer no when done."
+        f"{MIN_POSES} poses, better {GOOD_POSES}; answer no when done."
     )
     while person.confirms(f"{len(samples)} poses taken. Take one more?"):
         before = flange()
@@ -68,6 +66,9 @@ def collect(
         if isinstance(seen, str):
             person.tell(f"not taken: {seen}")
             continue
+        if before_it := repeats(samples, after):
+            person.tell(f"not taken: the arm is where it was at pose {before_it}; turn and move it")
+            continue
         name = f"{len(samples) + 1:03d}"
         _keep(folder, name, frame.color, frame.camera, after, seen)
         samples.append(Sample(after, seen.T_camera_board, name))
@@ -76,6 +77,22 @@ def collect(
     if intrinsics is None:
         raise InputError("no pose was taken")
     return samples, intrinsics
+
+
+def _make_room(folder: Path, person: Person) -> None:
+    old = [*folder.glob("pose_*.png"), *folder.glob("pose_*.json")]
+    if not old:
+        return
+    poses = len({path.stem for path in old})
+    if not person.confirms(f"{folder} holds {poses} poses of an earlier calibration. Delete them?"):
+        raise InputError(
+            f"{folder} holds {poses} poses of an earlier calibration; solve them with --poses, or give --out"
+        )
+    try:
+        for path in old:
+            path.unlink()
+    except OSError as error:
+        raise InputError(f"the poses in {folder} cannot be deleted: {error.strerror or error}") from error
 
 
 def read_session(folder: Path, finder: BoardFinder) -> tuple[list[Sample], CameraIntrinsics, list[str]]:
@@ -161,8 +178,9 @@ def _read_pose(path: Path) -> tuple[CameraIntrinsics, Float, NDArray[np.uint8]]:
         T = np.array(data["T_base_flange"], np.float64)
     except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} is no pose of a calibration: {error!r}") from error
-    if T.shape != (4, 4):
-        raise InputError(f"{path}: T_base_flange must be 4 rows of 4 numbers")
+    R = T[:3, :3] if T.shape == (4, 4) else np.zeros((3, 3))
+    if not (np.isfinite(T).all() and np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0):
+        raise InputError(f"{path}: T_base_flange must be 4 rows of 4 finite numbers, a rigid transform")
     color = read_color(path.with_suffix(".png"))
     if color.shape[:2] != (camera.height, camera.width):
         raise InputError(f"{path.with_suffix('.png')} is not of the camera's size, {camera.width}x{camera.height}")

@@ -36,6 +36,8 @@ SOLVERS = {
 MIN_POSES = 8
 TURN_DEG = 15.0
 """Two poses whose arms are turned by less against one another say little about the rotation."""
+SAME_DEG, SAME_MM = 3.0, 10.0
+"""Two poses whose arms differ by no more are one: the other does not predict it, but repeats it."""
 SECOND_AXIS_SHARE = 0.05
 """Of all turns that has to be about another axis than the main one."""
 MM_PER_DEG = 9.0
@@ -97,7 +99,7 @@ def solve(samples: Sequence[Sample], mount: Mount) -> HandEye:
         mount: What carries the camera.
 
     Raises:
-        InputError: Too few poses, numbers that are not finite, or motions that do not determine the result.
+        InputError: Too few different poses, numbers that are not finite, or motions that do not determine the result.
         MissingDependency: OpenCV is not installed.
     """
     check_motions(samples)
@@ -109,8 +111,9 @@ def solve(samples: Sequence[Sample], mount: Mount) -> HandEye:
     solver = min(fits, key=lambda name: float(np.median(_errors(arm, seen, *fits[name])[0])))
     X, Z = _refined(arm, seen, *fits[solver])
     held_out = np.empty((2, len(samples)))
+    same = _same(samples)
     for i in range(len(samples)):
-        rest = np.arange(len(samples)) != i
+        rest = ~same[i]
         held_out[:, i] = np.ravel(_errors(arm[i : i + 1], seen[i : i + 1], *_refined(arm[rest], seen[rest], X, Z)))
     fitted = float(np.median(_errors(arm, seen, X, Z)[0]))
     names = tuple(s.name or str(i + 1) for i, s in enumerate(samples))
@@ -121,7 +124,7 @@ def check_motions(samples: Sequence[Sample]) -> None:
     """Refuse poses from which the camera's place does not follow.
 
     Raises:
-        InputError: Too few, not finite, hardly turned, or turned about one axis only.
+        InputError: Too few that differ, not finite, hardly turned, or turned about one axis only.
     """
     if len(samples) < MIN_POSES:
         raise InputError(f"{len(samples)} usable poses are too few; at least {MIN_POSES} are needed, 15 are good")
@@ -129,6 +132,12 @@ def check_motions(samples: Sequence[Sample]) -> None:
         for what, T in (("the arm", s.T_base_flange), ("the board", s.T_camera_board)):
             if T.shape != (4, 4) or not np.isfinite(T).all():
                 raise InputError(f"pose {s.name or '?'} of {what} is no finite 4x4 matrix")
+    different = _different(_same(samples))
+    if different < MIN_POSES:
+        raise InputError(
+            f"of {len(samples)} poses only {different} are more than {SAME_DEG:g} deg or {SAME_MM:g} mm from one "
+            f"another; at least {MIN_POSES} are needed"
+        )
     turns = [
         Rotation.from_matrix(a.T_base_flange[:3, :3].T @ b.T_base_flange[:3, :3]).as_rotvec()
         for a, b in combinations(samples, 2)
@@ -149,6 +158,26 @@ def check_motions(samples: Sequence[Sample]) -> None:
             "place along it does "
             "not follow; tilt the board about a second axis too"
         )
+
+
+def repeats(samples: Sequence[Sample], T_base_flange: Float) -> str:
+    """Return the name of the sample that the arm was at the place of; empty where it is at a new one."""
+    same = _same([*samples, Sample(T_base_flange, np.eye(4))])[-1, :-1]
+    return next((s.name for s, is_same in zip(samples, same, strict=True) if is_same), "")
+
+
+def _same(samples: Sequence[Sample]) -> NDArray[np.bool_]:
+    """Return (N, N) True where the arm was at the same place in two samples."""
+    arm = np.stack([s.T_base_flange for s in samples])
+    apart_mm = np.linalg.norm(arm[:, None, :3, 3] - arm[None, :, :3, 3], axis=-1) * 1e3
+    R = np.einsum("aki,bkj->abij", arm[:, :3, :3], arm[:, :3, :3])
+    apart_deg = np.degrees(Rotation.from_matrix(R.reshape(-1, 3, 3)).magnitude()).reshape(apart_mm.shape)
+    return (apart_mm <= SAME_MM) & (apart_deg <= SAME_DEG)
+
+
+def _different(same: NDArray[np.bool_]) -> int:
+    """How many samples are at a place where none before them was."""
+    return sum(not same[i, :i].any() for i in range(len(same)))
 
 
 def _stacks(samples: Sequence[Sample], mount: Mount) -> tuple[Float, Float]:

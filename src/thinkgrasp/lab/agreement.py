@@ -67,6 +67,27 @@ class CalibrationRecord:
     poses: int
 
 
+def all_findings(
+    q: Float,
+    T_base_tcp: Float,
+    T_flange_tcp: Float | None,
+    frame: Frame,
+    *,
+    cell: Cell,
+    record: CalibrationRecord | None,
+    opening_m: float,
+    world: PlanningWorld,
+) -> list[Finding]:
+    """Return all of the findings below, for an arm that stood at q (6,) [rad] when the frame was seen."""
+    return [
+        tool_finding(q, T_base_tcp, cell),
+        kinematics_finding(q, T_base_tcp, T_flange_tcp),
+        record_finding(record, cell),
+        table_finding(frame, cell),
+        arm_finding(frame, q, opening_m, world),
+    ]
+
+
 def tool_finding(q: Float, T_base_tcp: Float, cell: Cell) -> Finding:
     """Compare the tool that the controller's pose implies with the cell's fingertips.
 
@@ -116,14 +137,14 @@ def record_finding(record: CalibrationRecord | None, cell: Cell) -> Finding:
         return Finding("calibration record", "failed", f"the camera was calibrated as mounted {record.mount!r}")
     T = invert(cell.mount.T_world_base) @ record.T_world_base
     off_m, off_deg = float(np.linalg.norm(T[:3, 3])), _turn_deg(T[:3, :3])
-    if off_m > BASE_M or off_deg > BASE_DEG:
+    if not (off_m <= BASE_M and off_deg <= BASE_DEG):
         return Finding(
             "calibration record",
             "failed",
             f"the robot's base is {off_m * 1e3:.1f} mm and {off_deg:.2f} deg from where it was when the camera was "
             "calibrated; calibrate again",
         )
-    if record.held_out_mm > HELD_OUT_MM or record.held_out_deg > HELD_OUT_DEG:
+    if not (record.held_out_mm <= HELD_OUT_MM and record.held_out_deg <= HELD_OUT_DEG):
         return Finding(
             "calibration record",
             "failed",

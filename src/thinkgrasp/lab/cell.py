@@ -26,7 +26,8 @@ from thinkgrasp.motion.mount import ArmMount
 from thinkgrasp.motion.robotiq_2f85 import flange_to_tip
 
 Float = NDArray[np.float64]
-Number = Annotated[float, Field(allow_inf_nan=False)]
+Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+"""No text and no true or false for a number: true would be a speed of 1 m/s."""
 Triple = tuple[Number, Number, Number]
 Span = tuple[Number, Number]
 
@@ -174,11 +175,10 @@ class Cell(_Part):
         if not ur5e.LIMITS.contain(home):
             low, high = (np.round(a, 2).tolist() for a in (ur5e.LIMITS.lower, ur5e.LIMITS.upper))
             raise ValueError(f"robot.home_rad is outside of the joints' ranges: {low} to {high}")
-        tip = self.fingertips(home)[:3, 3]
-        if not _within(tip, self.workspace_m):
-            raise ValueError(
-                f"at robot.home_rad the fingertips are at {np.round(tip, 3).tolist()}, outside of workspace_m"
-            )
+        for what, T in (("fingertips are", self.fingertips(home)), ("flange is", self.flange(home))):
+            if not _within(T[:3, 3], self.workspace_m):
+                at = np.round(T[:3, 3], 3).tolist()
+                raise ValueError(f"at robot.home_rad the {what} at {at}, outside of workspace_m")
         return self
 
     @cached_property
@@ -203,6 +203,10 @@ class Cell(_Part):
     def fingertips(self, q: Float, opening_m: float = 0.0) -> Float:
         """Return T_world_tcp (..., 4, 4) at joint angles q (..., 6) [rad]."""
         return self.mount.in_world(ur5e.forward(q)) @ flange_to_tip(opening_m)
+
+    def flange(self, q: Float) -> Float:
+        """Return T_world_flange (..., 4, 4) at joint angles q (..., 6) [rad]."""
+        return self.mount.T_world_base @ ur5e.forward(q)
 
     @property
     def bin_box(self) -> Bin:
@@ -247,7 +251,7 @@ class Cell(_Part):
                 f"speed is a share of the cell's limits and must lie in (0, 1], got {share}; limits are raised in the "
                 "cell file only"
             )
-        limits = self.limits
+        limits, gripper = self.limits, self.robot.gripper
         slow = limits.model_copy(
             update={
                 "joint_speed_rad_s": limits.joint_speed_rad_s * share,
@@ -255,7 +259,9 @@ class Cell(_Part):
                 "approach_speed_m_s": limits.approach_speed_m_s * share,
             }
         )
-        return self.model_copy(update={"limits": slow})
+        fingers = gripper.model_copy(update={"speed_m_s": gripper.speed_m_s * share})  # the gripper has a least speed
+        robot = self.robot.model_copy(update={"gripper": fingers})
+        return self.model_copy(update={"limits": slow, "robot": robot})
 
 
 def load_cell(path: str | Path) -> Cell:

@@ -28,11 +28,15 @@ class GuardedRobot:
         self, robot: Robot, *, person: Person, journal: Journal, cell: Cell | None = None, dry_run: bool = False
     ) -> None:
         self.robot = robot
-        self.halted: Reason | None = None
-        """Why nothing moves any more; None while it does."""
+        self._stopped: Reason | None = None
         self.motion = getattr(robot, "motion", None)
         self.T_world_flange = getattr(robot, "T_world_flange", None)
         self._person, self._journal, self._cell, self._dry_run = person, journal, cell, dry_run
+
+    @property
+    def halted(self) -> str | None:
+        """Why nothing moves any more, by the person or the robot itself; None while it does."""
+        return self._stopped or getattr(self.robot, "halted", None)
 
     def execute(self, grasp: Grasp, frame: Frame) -> Outcome:
         """Have the grasp carried out if the rules and the person allow it.
@@ -58,7 +62,7 @@ class GuardedRobot:
         answer = self._person.allows(motion)
         self._journal.note("asked", name=motion.name, detail=motion.detail, answer=answer)
         if answer == "stop":
-            self.halted = "stopped_by_person"
+            self._stopped = "stopped_by_person"
             return self._end(Outcome(False, "stopped_by_person"))
         if answer == "no":
             return self._end(Outcome(False, "refused_by_person"))

@@ -63,10 +63,21 @@ class AtTheKeyboard:
         print(line, file=self._questions or sys.stderr, flush=True)
 
     def _ask(self, text: str) -> str | None:
-        answers = self._answers or sys.stdin
-        _forget_what_was_typed(answers)
+        answers: TextIO | None = self._answers or sys.stdin  # None where a program was started without an input
+        if answers is not None:
+            _forget_what_was_typed(answers)
         print(text, end="", file=self._questions or sys.stderr, flush=True)
-        line = answers.readline()
+        try:
+            line = answers.readline() if answers is not None else ""
+        except UnicodeDecodeError:
+            return ""
+        except KeyboardInterrupt:
+            print(file=self._questions or sys.stderr, flush=True)
+            raise
+        except (OSError, ValueError):  # hung up, or closed
+            line = ""
+        if not line:
+            print("(no answer: the input has ended)", file=self._questions or sys.stderr, flush=True)
         return line.strip().lower() if line else None
 
 

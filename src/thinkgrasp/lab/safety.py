@@ -39,6 +39,7 @@ Reason = Literal[
     "connection_lost",
     "off_track",
     "no_way_home",
+    "not_at_home",
     "gripper_silent",
     "gripper_fault",
     "checks_failed",
@@ -54,6 +55,7 @@ HALTS: frozenset[Reason] = frozenset(
             "connection_lost",
             "off_track",
             "no_way_home",
+            "not_at_home",
             "gripper_silent",
             "gripper_fault",
             "checks_failed",
@@ -117,7 +119,7 @@ def check_motion(trajectory: Trajectory, q_now: Float, cell: Cell, *, tcp_speed_
     Args:
         trajectory: Joint positions over time.
         q_now: (6,) where the arm is [rad].
-        cell: Box, joint ranges and joint speed.
+        cell: Box, joint ranges, speed and acceleration.
         tcp_speed_m_s: Allowed of fingertips and flange.
     """
     q = trajectory.positions
@@ -141,6 +143,9 @@ def check_motion(trajectory: Trajectory, q_now: Float, cell: Cell, *, tcp_speed_
         return Refusal(
             "too_fast", f"a joint would turn at {joint:.2f}, allowed are {cell.limits.joint_speed_rad_s} rad/s"
         )
+    turn, allowed = joint_acceleration(q), cell.limits.joint_acceleration_rad_s2
+    if turn > allowed * RATE_TOLERANCE:
+        return Refusal("too_fast", f"a joint would speed up or brake by {turn:.1f}, allowed are {allowed} rad/s^2")
     tcp = tip_speed(q, cell)
     if tcp > tcp_speed_m_s * RATE_TOLERANCE:
         return Refusal("too_fast", f"the fingertips would move at {tcp:.3f}, allowed are {tcp_speed_m_s:.3f} m/s")
@@ -159,9 +164,23 @@ def slowed_to(trajectory: Trajectory, cell: Cell, *, tcp_speed_m_s: float) -> Tr
     return Trajectory(np.arange(len(slow), dtype=np.float64) * PERIOD_S, slow)
 
 
+def describe(motion: Trajectory, cell: Cell) -> str:
+    """Say in words how long a motion takes, where the fingertips end, and how fast it becomes."""
+    return (
+        f"{motion.duration_s:.1f} s, fingertips to {_place(cell.fingertips(motion.end)[:3, 3])}, at most "
+        f"{tip_speed(motion.positions, cell):.2f} m/s and {joint_speed(motion.positions):.2f} rad/s"
+    )
+
+
 def joint_speed(q: Float) -> float:
     """Return the largest speed of any joint [rad/s] over samples (T, 6) that are PERIOD_S apart."""
     return float(np.abs(np.diff(q, axis=0)).max(initial=0.0)) / PERIOD_S
+
+
+def joint_acceleration(q: Float) -> float:
+    """Return the largest acceleration of any joint [rad/s^2], from rest to rest, over samples (T, 6) PERIOD_S apart."""
+    resting = np.concatenate([q[:1], q, q[-1:]])
+    return float(np.abs(np.diff(resting, 2, axis=0)).max(initial=0.0)) / PERIOD_S**2
 
 
 def tip_speed(q: Float, cell: Cell) -> float:
@@ -172,9 +191,7 @@ def tip_speed(q: Float, cell: Cell) -> float:
 
 def _watched(q: Float, cell: Cell) -> dict[str, Float]:
     """Return the world points (T, 3) that have to stay in the box."""
-    T_base_flange = ur5e.forward(q)
-    flange = (cell.mount.T_world_base @ T_base_flange)[:, :3, 3]
-    return {"fingertips": cell.fingertips(q)[:, :3, 3], "flange": flange}
+    return {"fingertips": cell.fingertips(q)[:, :3, 3], "flange": cell.flange(q)[:, :3, 3]}
 
 
 def safety_refusal(bits: int, robot_mode: int) -> Refusal | None:

@@ -30,12 +30,14 @@ OPEN_COUNT, CLOSED_COUNT = 3, 228
 _REPLY = re.compile(rb"\s*([A-Z]{3})[ \t]+(\S+)")
 _ACK = re.compile(rb"\s*ack")
 _QUIET_S = 0.03
-"""After this long without another byte a reply without line end is complete, if it makes sense; from a gripper that
-once ended a line, line ends are waited for."""
+"""After this long without another byte a reply without line end is complete, if it makes sense; where one of its
+kind once ended a line, the line's end is waited for."""
 _LONGEST_REPLY = 256
 _ACTIVE = 3
 STILL_HELD_M = 0.006
 """What is held may give way by this much."""
+_NEAR_M, _LATE_S = 0.008, 0.5
+"""A gripper that says it is where it was told to be is there to within this, or soon is: OBJ may be late."""
 
 FAULTS = {
     0x05: "an action waits for activation",
@@ -158,8 +160,8 @@ class GripperState:
 
     @property
     def has_object(self) -> bool:
-        """Whether the fingers stopped at something while closing."""
-        return self.seen is Seen.STOPPED_CLOSING
+        """Whether the fingers stopped at something while closing; pads that meet hold nothing."""
+        return self.seen is Seen.STOPPED_CLOSING and self.opening_m > 0
 
 
 class RobotiqGripper:
@@ -194,7 +196,7 @@ class RobotiqGripper:
         self._force, self._speed = self.counts.force(force_n), self.counts.speed(speed_m_s)
         self._timeout_s = timeout_s
         self._sleep = sleep
-        self._ends_lines = False
+        self._end_lines: set[re.Pattern[bytes]] = set()
         self._where = f"gripper at {host}:{port}"
         try:
             self._socket = socket.create_connection((host, port), timeout=timeout_s)
@@ -256,7 +258,7 @@ class RobotiqGripper:
         reply = b""
         while len(reply) < _LONGEST_REPLY and not reply.endswith(b"\n"):
             left = deadline - time.monotonic()
-            whole = not self._ends_lines and expected.fullmatch(reply) is not None
+            whole = expected not in self._end_lines and expected.fullmatch(reply) is not None
             wait = min(left, _QUIET_S) if whole else left
             if wait <= 0 or not select.select([self._socket], [], [], wait)[0]:
                 break
@@ -264,7 +266,8 @@ class RobotiqGripper:
             if not part:
                 raise ConnectionResetError("it was closed by the other side")
             reply += part
-        self._ends_lines |= reply.endswith(b"\n")
+        if reply.endswith(b"\n"):
+            self._end_lines.add(expected)
         return reply
 
     def _drain(self) -> None:
@@ -304,6 +307,8 @@ class RobotiqGripper:
     def activate(self, *, timeout_s: float = 10.0) -> None:
         """Activate it: THE FINGERS MOVE to both ends. Does nothing where it is active.
 
+        Where that is interrupted it is reset, which stops the fingers.
+
         Raises:
             GripperSilent: As `get`, or it was not active in time.
             GripperError: It reports a fault.
@@ -313,13 +318,19 @@ class RobotiqGripper:
             return
         self.set(ACT=0, ATR=0)
         self._until(lambda: self.get("STA") == 0, timeout_s, "reset")
-        self.set(ACT=1)
-        self._until(lambda: self.get("STA") == _ACTIVE, timeout_s, "active")
-        self.set(GTO=1)
+        try:
+            self.set(ACT=1)
+            self._until(lambda: self.get("STA") == _ACTIVE, timeout_s, "active")
+        except BaseException:  # an interrupt from the keyboard too
+            with contextlib.suppress(GripperError):
+                self.set(ACT=0)
+            raise
         self.state()
 
     def move(self, opening_m: float, *, timeout_s: float = 6.0) -> GripperState:
         """Open or close to an opening [m] and wait until the fingers stand still.
+
+        Where that fails or is interrupted, they are told to stop where they are.
 
         Returns:
             Where they stand, and whether something stopped them.
@@ -338,16 +349,31 @@ class RobotiqGripper:
     def _go(self, position: int, timeout_s: float) -> GripperState:
         if not self.is_active():
             raise GripperError(f"the {self._where} is not activated")
-        self.set(POS=position, SPE=self._speed, FOR=self._force, GTO=1)
-        self._until(lambda: self.get("PRE") == position, timeout_s, f"told to go to {position}")
-        return self._at_rest(timeout_s)
+        try:
+            self.set(POS=position, SPE=self._speed, FOR=self._force, GTO=1)
+            self._until(lambda: self.get("PRE") == position, timeout_s, f"told to go to {position}")
+            return self._at_rest(self.counts.opening(position), timeout_s)
+        except BaseException:  # an interrupt from the keyboard too
+            self.halt()
+            raise
 
-    def _at_rest(self, timeout_s: float) -> GripperState:
+    def _at_rest(self, goal_m: float, timeout_s: float) -> GripperState:
+        until: float | None = None
         states: list[GripperState] = []
 
         def rests() -> bool:
+            nonlocal until
             states.append(self.state())
-            return states[-1].seen is not Seen.MOVING
+            at = states[-1]
+            if at.seen is not Seen.AT_POSITION or abs(at.opening_m - goal_m) <= _NEAR_M:
+                return at.seen is not Seen.MOVING
+            until = time.monotonic() + _LATE_S if until is None else until
+            if time.monotonic() > until:
+                raise GripperError(
+                    f"the {self._where} was told to go to {goal_m * 1e3:.0f} mm, says that it is there, and stands at "
+                    f"{at.opening_m * 1e3:.0f} mm"
+                )
+            return False
 
         self._until(rests, timeout_s, "at rest")
         return states[-1]

@@ -1,14 +1,21 @@
 """The wire to a Universal Robots controller: ur_rtde behind the few calls that the robot needs.
 
-Motions are streamed as joint positions (servoJ), one each PERIOD_S: where this program dies or hangs, the arm stays at
-the last position that it was given, which is never further away than one step.
+Motions are streamed as joint positions (servoJ), one each PERIOD_S: where this program dies or hangs, the arm comes to
+rest at the last position that it was given, LOOKAHEAD_S of the motion ahead of where it is.
+
+ur_rtde keeps returning what it heard last when nothing is heard any more, and connects again and sends its command
+again by itself. What it says is believed only while the controller's clock goes on, without a gap.
+
+References:
+    ur_rtde 1.6: `sendCommand` returns False, and sends nothing, where the program does not run; `reconnect`.
+    Universal Robots, "Dashboard server e-Series": a protective stop is not released within 5 s.
 """
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,8 +40,13 @@ OFF_TRACK_RAD = 0.30
 AT_GOAL_RAD, AT_REST_RAD_S = 0.01, 0.02
 SETTLE_S = 2.0
 STALE_S = 0.25
-"""The controller's clock has to go on within this time while the arm moves."""
+"""The controller's clock has to go on within this time, and by no more than this from one look to the next."""
+UNLOCK_S, RELEASED_S = 7.0, 5.0
+"""How long a protective stop is tried to be released, and may then take to be gone; and a program to start."""
+NOT_STOPPED = "THE ARM COULD NOT BE TOLD TO STOP: use the emergency stop"
 FULL_SPEED = 0.99
+_PROGRAM_RUNS = 0b10
+"""Bit of the robot's status."""
 
 
 class Halted(Exception):
@@ -72,6 +84,8 @@ class ArmState:
     robot_mode: int
     speed_fraction: float
     """Where the speed slider on the pendant stands, 0..1."""
+    program_runs: bool
+    """Whether a program runs on the controller; without one the arm does not move."""
     clock_s: float
     """The controller's own clock."""
 
@@ -83,32 +97,40 @@ class URLink:
         host: Name or address of the controller.
         control: Whether to take control of the arm; without, it is only looked at.
         clock: Tells the time [s].
+        sleep: Waits.
 
     Raises:
         MissingDependency: ur_rtde is not installed.
         ConfigError: Nothing answers, or it does not let itself be controlled.
     """
 
-    def __init__(self, host: str, *, control: bool, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        host: str,
+        *,
+        control: bool,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
         try:
             import rtde_control  # pyright: ignore[reportMissingImports]
             import rtde_receive  # pyright: ignore[reportMissingImports]
         except ModuleNotFoundError as error:
             raise MissingDependency("ur_rtde", "ur", "the Universal Robots arm") from error
         self._host = host
-        self._clock = clock
+        self._clock, self._sleep = clock, sleep
         self._control: Any = None
         self._receive: Any = None
         try:
             self._receive = rtde_receive.RTDEReceiveInterface(host, 1 / PERIOD_S)
             if control:
                 self._control = rtde_control.RTDEControlInterface(host, 1 / PERIOD_S)
-        except RuntimeError as error:
+        except (RuntimeError, ValueError) as error:
             self.close()
+            needed = "reachable, powered on, and in remote control" if control else "reachable and powered on"
             raise ConfigError(
-                f"the robot at {host} does not let itself be {'controlled' if control else 'read'}: "
-                f"{error}; it must be "
-                "reachable, powered on, and in remote control"
+                f"the robot at {host} does not let itself be {'controlled' if control else 'read'}: {error}; "
+                f"it must be {needed}"
             ) from error
 
     @property
@@ -133,13 +155,31 @@ class URLink:
                 int(receive.getSafetyStatusBits()),
                 int(receive.getRobotMode()),
                 float(receive.getTargetSpeedFraction()),
+                bool(int(receive.getRobotStatus()) & _PROGRAM_RUNS),
                 float(receive.getTimestamp()),
             )
         except (RuntimeError, ValueError) as error:
             raise Halted("connection_lost", f"the robot at {self._host} cannot be read: {error}") from error
         if state.q.shape != (6,) or not np.isfinite(state.q).all():
             raise Halted("connection_lost", f"the robot at {self._host} reports joint angles that are none")
+        if state.speed.shape != (6,) or state.wrench.shape != (6,):
+            raise Halted("connection_lost", f"the robot at {self._host} reports no speeds or no forces")
         return state
+
+    def fresh(self) -> ArmState:
+        """Return something that the controller said after this call began.
+
+        Raises:
+            Halted: As `state`, or nothing new comes.
+        """
+        before, until = self.state().clock_s, self._clock() + STALE_S
+        while True:
+            state = self.state()
+            if state.clock_s != before:
+                return state
+            if self._clock() > until:
+                raise Halted("connection_lost", f"nothing new came from the robot at {self._host} for {STALE_S:g} s")
+            self._sleep(PERIOD_S / 4)
 
     def ready(self) -> Refusal | None:
         """Say why the arm may not move now; None where it may.
@@ -147,15 +187,16 @@ class URLink:
         Raises:
             Halted: As `state`.
         """
-        state = self.state()
+        state = self.fresh()
         refusal = safety_refusal(state.safety_bits, state.robot_mode)
-        if refusal is None and state.speed_fraction < FULL_SPEED:
-            refusal = Refusal(
+        if refusal is None and not state.speed_fraction >= FULL_SPEED:
+            return Refusal(
                 "robot_not_ready",
-                f"the speed slider on the pendant stands at {state.speed_fraction:.0%}; set it to 100 %, "
-                "the speeds are "
-                "limited by the cell file",
+                f"the speed slider on the pendant stands at {state.speed_fraction:.0%}; set it to 100 %, the speeds "
+                "are limited by the cell file",
             )
+        if refusal is None and self.controls and not state.program_runs:
+            return Refusal("robot_not_ready", "the program that moves the arm was stopped on the pendant")
         return refusal
 
     def tcp_pose(self) -> Float:
@@ -183,9 +224,10 @@ class URLink:
         """Tell the controller what the flange carries.
 
         Raises:
-            Halted: The connection is lost.
+            Halted: The connection is lost, or it does not take it.
         """
-        self._call(lambda: self._control.setPayload(mass_kg, list(center_m)))
+        if not self._call(lambda: self._control.setPayload(mass_kg, list(center_m))):
+            raise self._lost("it does not take the payload")
 
     def follow(self, trajectory: Trajectory, *, force_n: float | None) -> None:
         """Move along a trajectory, looking at safety status, lag and force at each step.
@@ -206,11 +248,12 @@ class URLink:
                 self._step(q)
                 watch.look(q, way[: i + 1])
             self._settle(trajectory.end, watch, way)
-        except BaseException:  # an interrupt from the keyboard too
-            with contextlib.suppress(Halted):
-                self._stop_servo()
-            raise
-        self._stop_servo()
+        except BaseException as error:  # an interrupt from the keyboard too
+            if self._stop_servo() or not isinstance(error, Halted):
+                raise
+            raise Halted(error.reason, f"{error.detail}; {NOT_STOPPED}") from error
+        if not self._stop_servo():
+            raise Halted("connection_lost", NOT_STOPPED)
 
     def _step(self, q: Float) -> None:
         started = self._call(self._control.initPeriod)
@@ -235,24 +278,38 @@ class URLink:
             return Halted(refusal.reason, refusal.detail)
         return Halted("connection_lost", f"the robot at {self._host}: {what}; was its program stopped on the pendant?")
 
-    def is_running(self) -> bool:
-        """Whether the program that moves the arm runs on the controller."""
-        return bool(self._call(self._control.isProgramRunning))
-
     def _call(self, function: Callable[[], Any]) -> Any:
         try:
             return function()
         except (RuntimeError, ValueError) as error:
             raise Halted("connection_lost", f"the robot at {self._host} does not answer: {error}") from error
 
-    def _stop_servo(self) -> None:
+    def _stop_servo(self) -> bool:
+        """Have the arm stop where it is; whether it does.
+
+        A program that is paused, as in a safeguard stop, takes no command, and would go on to the last position when
+        it is resumed: it is ended.
+        """
+        with contextlib.suppress(RuntimeError, ValueError):
+            if self._control.servoStop(SERVO_STOP_M_S2):
+                return True
+        with contextlib.suppress(RuntimeError, ValueError), self._dashboard() as dashboard:
+            dashboard.stop()
+            return True
+        with contextlib.suppress(Halted):
+            return not self.fresh().program_runs
+        return False
+
+    @contextlib.contextmanager
+    def _dashboard(self) -> Iterator[Any]:
+        import dashboard_client  # pyright: ignore[reportMissingImports]
+
+        dashboard: Any = dashboard_client.DashboardClient(self._host)
+        dashboard.connect()
         try:
-            self._control.servoStop(SERVO_STOP_M_S2)
-        except (RuntimeError, ValueError) as error:
-            raise Halted(
-                "connection_lost",
-                f"the robot at {self._host} could not be told to stop: {error}; use the emergency stop",
-            ) from error
+            yield dashboard
+        finally:
+            dashboard.disconnect()
 
     def unlock(self) -> None:
         """Release a protective stop and start the program again; only after a person has said so.
@@ -261,19 +318,34 @@ class URLink:
             Halted: It does not let itself be released.
         """
         try:
-            import dashboard_client  # pyright: ignore[reportMissingImports]
-
-            dashboard: Any = dashboard_client.DashboardClient(self._host)
-            dashboard.connect()
-            dashboard.closeSafetyPopup()
-            dashboard.unlockProtectiveStop()
-            dashboard.disconnect()
-            self._control.reuploadScript()
+            with self._dashboard() as dashboard:
+                dashboard.closeSafetyPopup()
+                self._release(dashboard)
+            self._wait_until(lambda state: safety_refusal(state.safety_bits, state.robot_mode) is None)
+            if not self._control.reuploadScript():
+                raise Halted("protective_stop", "the program that moves the arm cannot be sent to the robot")
+            self._wait_until(lambda state: state.program_runs)
         except (RuntimeError, ValueError) as error:
             raise Halted("protective_stop", f"the protective stop cannot be released: {error}") from error
         refusal = self.ready()
         if refusal is not None:
             raise Halted(refusal.reason, refusal.detail)
+
+    def _release(self, dashboard: Any) -> None:
+        until = self._clock() + UNLOCK_S
+        while True:
+            try:
+                return dashboard.unlockProtectiveStop()
+            except RuntimeError:
+                if self._clock() > until:
+                    raise
+                self._sleep(0.5)
+
+    def _wait_until(self, done: Callable[[ArmState], bool]) -> None:
+        """Wait until the controller says so, or not any longer; what it says then is looked at elsewhere."""
+        until = self._clock() + RELEASED_S
+        while not done(self.fresh()) and self._clock() <= until:
+            self._sleep(0.05)
 
     def close(self) -> None:
         """Give control back; the arm stays where it is."""
@@ -285,7 +357,7 @@ class URLink:
             if interface is not None:
                 try:
                     getattr(interface, call)()
-                except RuntimeError:  # a connection that is gone is closed
+                except (RuntimeError, ValueError):  # a connection that is gone is closed
                     continue
 
 
@@ -305,10 +377,12 @@ class _Watch:
         refusal = safety_refusal(state.safety_bits, state.robot_mode)
         if refusal is not None:
             raise Halted(refusal.reason, refusal.detail)
-        if not link.is_running():
+        if not state.program_runs:
             raise link._lost("its program has ended")
-        now = link._clock()
-        if state.clock_s != self._clock_s:
+        now, gap_s = link._clock(), state.clock_s - self._clock_s
+        if not 0 <= gap_s <= STALE_S:
+            raise Halted("connection_lost", f"nothing was heard from the robot for {gap_s:.2f} s of its clock")
+        if gap_s > 0:
             self._clock_s, self._since = state.clock_s, now
         elif now - self._since > STALE_S:
             raise Halted("connection_lost", f"nothing new came from the robot for {now - self._since:.2f} s")

@@ -18,23 +18,14 @@ from thinkgrasp.errors import ConfigError, InputError, MissingDependency
 from thinkgrasp.lab import agreement
 from thinkgrasp.lab.cell import Cell, load_cell
 from thinkgrasp.lab.journal import Journal
-from thinkgrasp.lab.person import AtTheKeyboard, Motion, Person
-from thinkgrasp.lab.safety import (
-    HALTS,
-    START_TOLERANCE_RAD,
-    Reason,
-    check_grasp,
-    check_motion,
-    grasp_in_world,
-    joint_speed,
-    slowed_to,
-    tip_speed,
-)
+from thinkgrasp.lab.person import AtTheKeyboard, Person
+from thinkgrasp.lab.safety import HALTS, Reason, check_grasp, check_motion, describe, grasp_in_world, slowed_to
 from thinkgrasp.motion.robotiq_2f85 import STROKE_M
 from thinkgrasp.motion.trajectory import Trajectory, time_path
 from thinkgrasp.robots.pinch import MAX_RETREAT_M, over_bin, perceived_cloud, retreat_for_arc, without_taken
 from thinkgrasp.robots.robotiq import Counts, GripperError, GripperState, RobotiqGripper
 from thinkgrasp.robots.ur_link import Halted, Pressed, URLink
+from thinkgrasp.robots.ur_moves import AskedArm, Refused
 from thinkgrasp.types import Frame, Grasp, Outcome
 
 try:
@@ -45,17 +36,10 @@ except ModuleNotFoundError as _error:
 
 Float = NDArray[np.float64]
 
+_AWAY_RAD = 0.1
+"""An arm this far from home may be taken for a thing by the camera, and hides others."""
 _BACK_OUT_SPEED = 0.3
 """Share of the joint speed on the way back from what the arm pressed on."""
-
-
-class _Ended(Exception):
-    """The attempt is over, for a reason after which the next one may be made."""
-
-    def __init__(self, reason: Reason, detail: str) -> None:
-        super().__init__(detail)
-        self.reason: Reason = reason
-        self.detail = detail
 
 
 class URRobot:
@@ -102,19 +86,17 @@ class URRobot:
             straight_speed=1.0,
             seen_at=self.cell.robot.home_rad,
         )
-        self._sleep = sleep
         self._checked = False
-        self._moved = False
-        self._opening_m = STROKE_M
         self._cloud = np.zeros((0, 3))
-        self.link = URLink(self.cell.robot.host, control=not dry_run, clock=clock)
+        self.link = URLink(self.cell.robot.host, control=not dry_run, clock=clock, sleep=sleep)
         try:
-            self.gripper = None if dry_run else self._connect_gripper()
+            self.gripper = None if dry_run else self._connect_gripper(sleep)
         except ConfigError:
             self.link.close()
             raise
+        self.arm = AskedArm(self.cell, self.person, self.journal, self.link, self.gripper)
 
-    def _connect_gripper(self) -> RobotiqGripper:
+    def _connect_gripper(self, sleep: Callable[[float], None]) -> RobotiqGripper:
         part = self.cell.robot.gripper
         try:
             return RobotiqGripper(
@@ -123,7 +105,7 @@ class URRobot:
                 counts=Counts(part.model, part.open_count, part.closed_count),
                 force_n=part.force_n,
                 speed_m_s=part.speed_m_s,
-                sleep=self._sleep,
+                sleep=sleep,
             )
         except GripperError as error:
             raise ConfigError(str(error)) from error
@@ -140,10 +122,8 @@ class URRobot:
         Raises:
             InputError: The robot does not say.
         """
-        from thinkgrasp.motion import ur5e
-
         try:
-            return self.cell.mount.T_world_base @ ur5e.forward(self.link.state().q)
+            return self.cell.flange(self.link.fresh().q)
         except Halted as halt:
             raise InputError(f"where the camera is cannot be told: {halt.detail}") from halt
 
@@ -162,44 +142,65 @@ class URRobot:
             raise InputError("a robot needs the camera's pose: T_world_camera is missing in the frame")
         if self.halted is not None:
             return Outcome(False, self.halted)
-        self._moved = False
+        reason, detail = self._concluded(lambda: self._attempt(grasp, T_world_tcp, frame))
+        outcome = Outcome(True, "held") if reason is None else Outcome(False, reason)
+        self.journal.note("outcome", success=outcome.success, reason=outcome.reason, detail=detail)
+        return outcome
+
+    def prepare(self, frame: Frame) -> None:
+        """Bring the arm home if it is elsewhere and the person agrees: there it waits while the camera looks.
+
+        Args:
+            frame: Seen with the arm where it is; what it shows is kept away from.
+
+        Raises:
+            InputError: The frame's camera pose is unknown.
+        """
+        reason, detail = self._concluded(lambda: self._come_home(frame))
+        if reason is not None:
+            self.journal.note("prepared", reason=reason, detail=detail)
+
+    def _concluded(self, attempt: Callable[[], Reason | None]) -> tuple[Reason | None, str]:
+        """Make an attempt, and return and tell why it came to no good end."""
+        self.arm.moved = False
+        reason: Reason | None
+        detail = ""
         try:
-            reason: Reason | None = self._attempt(grasp, T_world_tcp, frame)
-            detail = ""
-        except _Ended as end:
+            reason = attempt()
+        except Refused as end:
             reason, detail = end.reason, end.detail
+            self.halted = reason if end.away else self.halted
         except Halted as halt:
             reason, detail = self._halt(halt)
         except GripperError as error:
             reason, detail = self._halt(Halted(error.reason, str(error)))
-        outcome = Outcome(True, "held") if reason is None else Outcome(False, reason)
-        self.journal.note("outcome", success=outcome.success, reason=outcome.reason, detail=detail)
-        if detail:
-            self.person.tell(f"{outcome.reason.replace('_', ' ')}: {detail}")
-        return outcome
+        if reason is not None and detail:
+            self.person.tell(f"{reason.replace('_', ' ')}: {detail}")
+        return reason, detail
 
     # -- one attempt -------------------------------------------------------------------------------------------------
 
     def _attempt(self, grasp: Grasp, T_world_tcp: Float, frame: Frame) -> Reason | None:
         refusal = check_grasp(grasp, T_world_tcp, self.cell)
         if refusal is not None:
-            raise _Ended(refusal.reason, refusal.detail)
-        not_ready = self.link.ready()
-        if not_ready is not None and self.dry_run:
-            self.person.tell(f"the arm could not move now: {not_ready.detail}")
-        elif not_ready is not None:
-            raise Halted(not_ready.reason, not_ready.detail)
+            raise Refused(refusal.reason, refusal.detail)
+        self._check_ready()
         self._check_agreement(frame)
+        away = self._away_rad()
+        if away > _AWAY_RAD and not self.dry_run:
+            raise Halted("not_at_home", f"the arm is {away:.2f} rad from home, where it waits while the camera looks")
         opening = min(grasp.width_m, STROKE_M)
         retreat = retreat_for_arc(T_world_tcp, opening)
         if retreat > MAX_RETREAT_M:
-            raise _Ended("unreachable", f"the fingertips' arc would need {retreat * 1e3:.0f} mm of room over the table")
+            raise Refused(
+                "unreachable", f"the fingertips' arc would need {retreat * 1e3:.0f} mm of room over the table"
+            )
         T_world_tcp = T_world_tcp.copy()
         T_world_tcp[:3, 3] -= retreat * T_world_tcp[:3, 2]
         self._cloud = cloud = perceived_cloud(frame)
         plan = self.motion.plan_grasp(self.link.state().q, T_world_tcp, opening, cloud)
         if isinstance(plan, str):
-            raise _Ended("unreachable", f"no motion to the grasp: {plan}")
+            raise Refused("unreachable", f"no motion to the grasp: {plan}")
         self._rehearse(plan, T_world_tcp, opening, cloud)
         if self.dry_run:
             return "dry_run"
@@ -207,51 +208,80 @@ class URRobot:
 
     def _take(self, plan: GraspMotion, T_world_tcp: Float, opening: float, cloud: Float) -> Reason | None:
         slow, fast = self.cell.limits.approach_speed_m_s, self.cell.limits.tcp_speed_m_s
-        self._activate_gripper()
-        self._open(opening, f"open the gripper to {opening * 1e3:.0f} mm")
+        self.arm.activate_gripper()
+        self.arm.open(opening, f"open the gripper to {opening * 1e3:.0f} mm")
         try:
-            self._move("to the pre-grasp", plan.to_pregrasp, fast)
-            self._move("straight in", plan.approach, slow)
+            self.arm.move("to the pre-grasp", plan.to_pregrasp, fast)
+            self.arm.move("straight in", plan.approach, slow)
         except Pressed as stop:
             return self._back_out(stop, cloud)
-        gripped = self._close_gripper()
+        gripped = self.arm.close_gripper()
         try:
-            self._move("straight up", plan.lift, slow)
-            if not gripped.has_object or not self._gripper().still_holds(gripped):
-                self._open(STROKE_M, "open the gripper")
+            self.arm.move("straight up", plan.lift, slow)
+            if not gripped.has_object or not self.arm.still_holds(gripped):
+                self.arm.open(STROKE_M, "open the gripper")
                 self._go_home(cloud)
                 return "missed" if not gripped.has_object else "slipped"
             return self._deliver(gripped, without_taken(cloud, T_world_tcp), float(T_world_tcp[2, 3]))
         except Pressed as stop:
-            self._open(STROKE_M, "open the gripper and let go")
+            self.arm.open(STROKE_M, "open the gripper and let go")
             return self._back_out(stop, cloud)
 
     def _deliver(self, gripped: GripperState, cloud: Float, taken_at_z: float) -> Reason | None:
         way = self._way_to_bin(self.link.state().q, gripped.opening_m, cloud, taken_at_z)
         if isinstance(way, str):
-            self._open(STROKE_M, "open the gripper, as no way leads to the bin, and let go")
+            self.arm.open(STROKE_M, "open the gripper, as no way leads to the bin, and let go")
             self._go_home(cloud)
             return "unreachable"
-        self._move("to the bin", way, self.cell.limits.tcp_speed_m_s)
-        held = self._gripper().still_holds(gripped)
-        self._open(STROKE_M, "open the gripper over the bin" if held else "open the gripper")
+        self.arm.move("to the bin", way, self.cell.limits.tcp_speed_m_s)
+        held = self.arm.still_holds(gripped)
+        self.arm.open(STROKE_M, "open the gripper over the bin" if held else "open the gripper")
         self._go_home(cloud)
         return None if held else "slipped"
 
+    def _come_home(self, frame: Frame) -> Reason | None:
+        away = self._away_rad()
+        if away <= _AWAY_RAD:
+            return None
+        self.person.tell(f"the arm is {away:.2f} rad from home, where it has to wait while the camera looks")
+        if self.dry_run:
+            return "dry_run"
+        self._check_ready()
+        self._check_agreement(frame)
+        self._cloud = perceived_cloud(frame)
+        self.motion.seen_at = self.link.state().q
+        try:
+            self._go_home(self._cloud)
+        finally:
+            self.motion.seen_at = self.cell.home
+        return None
+
+    def _away_rad(self) -> float:
+        return float(np.abs(self.link.fresh().q - self.cell.home).max())
+
     # -- before the first move ---------------------------------------------------------------------------------------
+
+    def _check_ready(self) -> None:
+        if not self.dry_run:
+            self.arm.check_ready()
+        elif not_ready := self.link.ready():
+            self.person.tell(f"the arm could not move now: {not_ready.detail}")
 
     def _check_agreement(self, frame: Frame) -> None:
         """Look once whether camera, arm and tool agree; nothing moves before they do."""
         if self._checked:
             return
         state, T_base_tcp = self.link.state(), self.link.tcp_pose()
-        findings = [
-            agreement.tool_finding(state.q, T_base_tcp, self.cell),
-            agreement.kinematics_finding(state.q, T_base_tcp, self.link.tool()),
-            agreement.record_finding(self.record, self.cell),
-            agreement.table_finding(frame, self.cell),
-            agreement.arm_finding(frame, state.q, self._opening_m, self.motion.world),
-        ]
+        findings = agreement.all_findings(
+            state.q,
+            T_base_tcp,
+            self.link.tool(),
+            frame,
+            cell=self.cell,
+            record=self.record,
+            opening_m=self.arm.opening_m,
+            world=self.motion.world,
+        )
         for finding in findings:
             self.person.tell(finding.line())
             self.journal.note("check", name=finding.name, state=finding.state, detail=finding.detail)
@@ -265,7 +295,7 @@ class URRobot:
         slow, fast = self.cell.limits.approach_speed_m_s, self.cell.limits.tcp_speed_m_s
         to_bin = self._way_to_bin(plan.lift.end, opening, without_taken(cloud, T_world_tcp), float(T_world_tcp[2, 3]))
         if isinstance(to_bin, str):
-            raise _Ended("unreachable", f"no motion from the grasp to the bin: {to_bin}")
+            raise Refused("unreachable", f"no motion from the grasp to the bin: {to_bin}")
         at = ", ".join(f"{c:.3f}" for c in T_world_tcp[:3, 3])
         told = [f"would close from {opening * 1e3:.0f} mm at ({at}) m in the world"]
         q = self.link.state().q
@@ -280,8 +310,8 @@ class URRobot:
             refusal = check_motion(motion, q, self.cell, tcp_speed_m_s=speed)
             self.journal.note("planned", name=name, duration_s=motion.duration_s, end_rad=motion.end.tolist())
             if refusal is not None:
-                raise _Ended(refusal.reason, f"{name}: {refusal.detail}")
-            told.append(f"would move {name}: {self._describe(motion)}")
+                raise Refused(refusal.reason, f"{name}: {refusal.detail}")
+            told.append(f"would move {name}: {describe(motion, self.cell)}")
             q = motion.end
         if self.dry_run:
             for line in told:
@@ -290,63 +320,15 @@ class URRobot:
     def _way_to_bin(self, q: Float, opening_m: float, cloud: Float, taken_at_z_m: float) -> Trajectory | str:
         return self.motion.plan_to_poses(q, over_bin(self.cell.bin_box, taken_at_z_m), opening_m, cloud)
 
-    def _describe(self, motion: Trajectory) -> str:
-        tip = self.cell.fingertips(motion.end)[:3, 3]
-        at = ", ".join(f"{c:.3f}" for c in tip)
-        return (
-            f"{motion.duration_s:.1f} s, fingertips to ({at}) m, at most "
-            f"{tip_speed(motion.positions, self.cell):.2f} m/s "
-            f"and {joint_speed(motion.positions):.2f} rad/s"
-        )
-
-    # -- moving ------------------------------------------------------------------------------------------------------
-
-    def _move(self, name: str, trajectory: Trajectory, tcp_speed_m_s: float, *, felt: bool = True) -> None:
-        """Slow down, check, ask, and move; raises Pressed, Halted or _Ended."""
-        motion = slowed_to(trajectory, self.cell, tcp_speed_m_s=tcp_speed_m_s)
-        refusal = check_motion(motion, self.link.state().q, self.cell, tcp_speed_m_s=tcp_speed_m_s)
-        if refusal is not None:
-            self.journal.note("refused", name=name, reason=refusal.reason, detail=refusal.detail)
-            raise self._over(refusal.reason, f"{name}: {refusal.detail}")
-        if motion.duration_s == 0:
-            return
-        self._ask(Motion(name, self._describe(motion)))
-        not_ready = self.link.ready()
-        if not_ready is not None:
-            raise Halted(not_ready.reason, not_ready.detail)
-        moved_rad = float(np.abs(self.link.state().q - motion.start).max())
-        if moved_rad > START_TOLERANCE_RAD:
-            raise self._over("jump", f"{name}: the arm was moved by {moved_rad:.3f} rad while the question was open")
-        self._moved = True
-        try:
-            self.link.follow(motion, force_n=self.cell.limits.force_n if felt else None)
-        except Pressed:
-            self.journal.note("pressed", name=name)
-            raise
-        self.journal.note("moved", name=name, q_rad=np.round(self.link.state().q, 4).tolist())
-
-    def _ask(self, motion: Motion) -> None:
-        answer = self.person.allows(motion)
-        self.journal.note("asked", name=motion.name, detail=motion.detail, answer=answer)
-        if answer == "stop":
-            raise Halted("stopped_by_person", f"the person said stop before {motion.name}")
-        if answer == "no":
-            raise self._over("refused_by_person", f"the person said no to {motion.name}")
-
-    def _over(self, reason: Reason, detail: str) -> Exception:
-        """A refusal ends the attempt; once the arm has moved it is not at home any more, and everything ends."""
-        if not self._moved:
-            return _Ended(reason, detail)
-        self.halted = reason
-        return _Ended(reason, f"{detail}; the arm stays where it is")
+    # -- ways back -----------------------------------------------------------------------------------------------------
 
     def _go_home(self, cloud: Float) -> None:
         q = self.link.state().q
-        way = self.motion.plan_to(q, self.cell.home, self._opening_m, cloud)
+        way = self.motion.plan_to(q, self.cell.home, self.arm.opening_m, cloud)
         if isinstance(way, str):
             raise Halted("no_way_home", f"no way leads home ({way}); move the arm home by hand")
         try:
-            self._move("home", way, self.cell.limits.tcp_speed_m_s)
+            self.arm.move("home", way, self.cell.limits.tcp_speed_m_s)
         except Pressed as stop:
             raise Halted("no_way_home", "the arm pressed on something on its way home; move it there by hand") from stop
 
@@ -356,15 +338,13 @@ class URRobot:
         nearest = int(np.argmin(np.abs(stop.travelled - now).max(axis=1)))  # the arm lags behind what it was told
         way = np.concatenate([now[None], stop.travelled[nearest::-1]])
         back = time_path(way, self.cell.joint_limits, speed=_BACK_OUT_SPEED)
-        self._move("back the way it came", back, self.cell.limits.approach_speed_m_s, felt=False)
+        self.arm.move("back the way it came", back, self.cell.limits.approach_speed_m_s, felt=False)
         self._go_home(cloud)
         return "collision"
 
     def _halt(self, halt: Halted) -> tuple[Reason, str]:
         """Stay still; a protective stop is released if the person says so, and only then is the robot not halted."""
         self.journal.note("halted", reason=halt.reason, detail=halt.detail)
-        if self.gripper is not None and halt.reason in ("gripper_fault", "stopped_by_person"):
-            self.gripper.halt()
         if halt.reason != "protective_stop":
             self.halted = halt.reason if halt.reason in HALTS else self.halted
             return halt.reason, halt.detail
@@ -374,44 +354,10 @@ class URRobot:
             self.journal.note("unlock")
             try:
                 self.link.unlock()
-                self._open(STROKE_M, "open the gripper and let go of what it may hold")
-                self._go_home(self._cloud)
+                if self.arm.moved:  # else nothing was looked at yet, and the arm is where it was
+                    self.arm.open(STROKE_M, "open the gripper and let go of what it may hold")
+                    self._go_home(self._cloud)
                 self.halted = None
-            except (Halted, _Ended) as again:
-                return halt.reason, f"{halt.detail}; released, but then: {again.detail}"
-            except GripperError as error:
-                return halt.reason, f"{halt.detail}; released, but then: {error}"
+            except (Halted, Refused, GripperError) as again:
+                return halt.reason, f"{halt.detail}; released, but then: {getattr(again, 'detail', again)}"
         return halt.reason, halt.detail
-
-    # -- gripper -----------------------------------------------------------------------------------------------------
-
-    def _gripper(self) -> RobotiqGripper:
-        if self.gripper is None:
-            raise Halted("robot_not_ready", "a dry run has no gripper")
-        return self.gripper
-
-    def _activate_gripper(self) -> None:
-        gripper, part = self._gripper(), self.cell.robot.gripper
-        if not gripper.is_active():
-            self._ask(Motion("activate the gripper", "the fingers move to both ends"))
-            gripper.activate()
-        self.link.set_payload(part.mass_kg, part.center_of_mass_m)
-
-    def _open(self, opening_m: float, name: str) -> None:
-        self._ask(Motion(name, f"fingers to {opening_m * 1e3:.0f} mm"))
-        state = self._gripper().move(opening_m)
-        self._opening_m = state.opening_m
-        self.journal.note("gripper", name=name, opening_m=state.opening_m, seen=state.seen.name)
-        if abs(state.opening_m - opening_m) > 0.01:
-            raise Halted(
-                "gripper_fault",
-                f"the gripper was told to open to {opening_m * 1e3:.0f} mm and stands at "
-                f"{state.opening_m * 1e3:.0f} mm",
-            )
-
-    def _close_gripper(self) -> GripperState:
-        self._ask(Motion("close the gripper", f"with {self.cell.robot.gripper.force_n:.0f} N"))
-        state = self._gripper().grip()
-        self._opening_m = state.opening_m
-        self.journal.note("gripper", name="close", opening_m=state.opening_m, seen=state.seen.name)
-        return state
