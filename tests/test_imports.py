@@ -86,10 +86,5 @@ def test_typed():
     assert files("thinkgrasp").joinpath("py.typed").is_file()
 
 
-def test_import_is_quick():
-    code = "import time; t = time.perf_counter(); import thinkgrasp; print(time.perf_counter() - t)"
-    times = [
-        float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
-        for _ in range(3)
-    ]
-    assert min(times) < 0.15
+def test_import_loads_little_of_python_itself():
+    assert len(modules_after("import thinkgrasp") - modules_after("")) <= 20

@@ -186,6 +186,8 @@ def test_a_frozen_camera_is_an_error_and_what_was_done_is_kept(run, lab):
         (("--camera-set", "serial=9"), {}, "no RealSense camera 9 is connected"),
         (("--arm-planner", "A*"), {}, "no arm planner 'A*'"),
         (("--dry-run", "--robot-set", "dry_run=false"), {}, "--robot-set dry_run: that is said by the command's own"),
+        (("--robot-set", "person"), {}, "--robot-set takes KEY=VALUE"),
+        (("--camera-set", "=9"), {}, "--camera-set takes KEY=VALUE"),
         (("--robot-set", "person=null"), {}, "--robot-set person: that is said by"),
         ((), {"limits.tcp_speed_m_s": 3}, "limits.tcp_speed_m_s: Input should be less than or equal to 1"),
         ((), {"camera.file": "none.json"}, "camera file"),

@@ -194,15 +194,16 @@ def override(config: PipelineConfig, key: str, value: object) -> PipelineConfig:
     return replace(config, **cast(Any, {head: str(value) if isinstance(value, Path) else value}))
 
 
-def parse_assignment(text: str) -> tuple[str, object]:
-    """Split "key=value" of the command line; the value is read as JSON, or else as text.
+def parse_assignment(text: str, option: str = "--set") -> tuple[str, object]:
+    """Split "key=value" of an option of the command line; the value is read as JSON, or else as text.
 
     Raises:
         ConfigError: There is no "=" or no key.
     """
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
-        raise ConfigError(f"--set takes KEY=VALUE, for example planner.grid=4, got {text!r}")
+        example = "planner.grid=4" if option == "--set" else "fps=15"
+        raise ConfigError(f"{option} takes KEY=VALUE, for example {example}, got {text!r}")
     try:
         return key.strip(), json.loads(value)
     except (ValueError, RecursionError):

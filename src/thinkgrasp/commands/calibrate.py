@@ -90,7 +90,11 @@ class CalibrateCommand:
             )
         make_folder(self.out)
         options = CalibrateOptions(
-            self.cell, board, self.poses, self.camera, dict(map(parse_assignment, self.camera_set))
+            self.cell,
+            board,
+            self.poses,
+            self.camera,
+            dict(parse_assignment(text, "--camera-set") for text in self.camera_set),
         )
         result, written = run_calibration(options, AtTheKeyboard(), self.out, progress)
         place = ", ".join(f"{c:.4f}" for c in result.T_camera[:3, 3])

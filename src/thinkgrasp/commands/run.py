@@ -74,8 +74,8 @@ class RunCommand:
             speed=self.speed,
             steps=self.steps,
             arm_planner=self.arm_planner,
-            robot_settings=dict(map(parse_assignment, self.robot_set)),
-            camera_settings=dict(map(parse_assignment, self.camera_set)),
+            robot_settings=dict(parse_assignment(text, "--robot-set") for text in self.robot_set),
+            camera_settings=dict(parse_assignment(text, "--camera-set") for text in self.camera_set),
         )
         person = AtTheKeyboard() if self.confirm else Absent()
         result = run_on_robot(options, self.stages.preset, config, person, self.out, progress)
