@@ -140,8 +140,8 @@ class BenchmarkPlan:
         """
         model = _PlanModel(
             suite=self.source.name,
-            cases=None if self.source.cases is None else str(self.source.cases),
-            objects=None if self.source.objects is None else str(self.source.objects),
+            cases=None if self.source.cases is None else str(self.source.cases.resolve()),
+            objects=None if self.source.objects is None else str(self.source.objects.resolve()),
             tasks=list(self.tasks),
             first_seed=self.first_seed,
             runs=self.runs,

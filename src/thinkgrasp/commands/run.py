@@ -54,7 +54,7 @@ class RunCommand:
         from thinkgrasp.loop import END_WORDS
         from thinkgrasp.run import RunOptions, run_on_robot
 
-        check_text(self.instruction)
+        instruction = check_text(self.instruction)
         if self.steps < 1:
             raise ConfigError(f"--steps must be at least 1, got {self.steps}")
         if not 0 < self.speed <= 1:
@@ -66,7 +66,7 @@ class RunCommand:
         config = configure(self.stages)
         make_folder(self.out)
         options = RunOptions(
-            instruction=self.instruction,
+            instruction=instruction,
             robot=self.robot,
             camera=self.camera,
             cell=self.cell,

@@ -27,12 +27,13 @@ def encodable(text: str) -> str:
     return text
 
 
-def check_text(instruction: str) -> None:
-    """Raise InputError for an instruction that is empty, too long, or no valid text."""
+def check_text(instruction: str) -> str:
+    """Return an instruction without surrounding space; InputError where it is empty, too long, or no valid text."""
     from thinkgrasp.pipeline import check_instruction
 
-    check_instruction(instruction)
+    instruction = check_instruction(instruction)
     try:
         instruction.encode("utf-8")
     except UnicodeEncodeError as error:
         raise InputError(f"the instruction is no valid text: {error}") from error
+    return instruction
