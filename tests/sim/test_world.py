@@ -25,8 +25,10 @@ from thinkgrasp.motion.cell import BIN, HOME_RAD  # noqa: E402
 from thinkgrasp.motion.trajectory import time_path  # noqa: E402
 from thinkgrasp.robots.simulated import SimulatedRobot  # noqa: E402
 from thinkgrasp.sim.objects import CollisionPiece, SimObject  # noqa: E402
+from thinkgrasp.sim.rays import cast  # noqa: E402
 from thinkgrasp.sim.tabletop import pose  # noqa: E402
-from thinkgrasp.sim.world import GRIP_FORCE_N, TIMESTEP_S, World  # noqa: E402
+from thinkgrasp.sim.views import CameraView, default_view, side_view  # noqa: E402
+from thinkgrasp.sim.world import COLLISION_GROUP, GRIP_FORCE_N, TIMESTEP_S, World  # noqa: E402
 
 RED, BLUE = (0.8, 0.1, 0.1), (0.1, 0.2, 0.8)
 BLOCK = box((0.04, 0.06, 0.05), RED)
@@ -122,6 +124,26 @@ def test_things_fall_and_come_to_rest():
     assert world.on_table(1)
     assert max(world.speed(0)) < 0.2
     assert world.time_s > 2 * 0.15
+
+
+def test_rays_are_cast_again_only_where_something_has_moved():
+    world = World([BLOCK], robot=False)
+    world.place(0, pose(0.5, 0.0, 0.025))
+    near, other = default_view("l515", (224, 224)), side_view("l515", (224, 224))
+    first = world.hits(near)
+    assert world.hits(CameraView(near.intrinsics, near.T_world_camera.copy())) is first
+    assert not np.array_equal(world.hits(other).geoms, first.geoms)
+    assert world.hits(near) is first
+    assert not any(array.flags.writeable for array in (first.geoms, first.distances, first.normals))
+
+    world.place(0, pose(0.5, 0.1, 0.025))
+    moved = world.hits(near)
+    fresh = cast(world.model, world.data, near.eye, near.rays, normals=True)
+    np.testing.assert_array_equal(moved.geoms, fresh.geoms)
+    np.testing.assert_array_equal(moved.distances, fresh.distances)
+    assert not np.array_equal(moved.geoms, first.geoms)
+    world.model.geom_group[:] = COLLISION_GROUP
+    assert (world.hits(near).geoms == -1).all()
 
 
 def test_settling_gives_up_in_time():

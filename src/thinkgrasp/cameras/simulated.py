@@ -69,7 +69,7 @@ class SimulatedCamera:
         self._reads += 1
         world = self._world
         if self._renderer is None:
-            seen = render(world.model, world.data, self.view, world.visuals)
+            seen = render(world.model, world.data, self.view, world.visuals, hits=world.hits(self.view))
         else:
             seen = self._renderer.render(world.data, self.view, world.visuals)
         depth = seen.depth if self._noise is None else self._noise.apply(seen.depth, seen.cosine(self.view), rng)

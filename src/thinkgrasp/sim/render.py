@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from thinkgrasp.sim.objects import VisualPiece
-from thinkgrasp.sim.rays import ROBOT_GROUP, STATIC_GROUP, THREADS, cast
+from thinkgrasp.sim.rays import ROBOT_GROUP, STATIC_GROUP, THREADS, Hits, cast
 from thinkgrasp.sim.shadows import cosine_to, reached_by, soften
 from thinkgrasp.sim.textures import LINEAR_FROM_SRGB, sample
 from thinkgrasp.sim.views import CameraView
@@ -73,6 +73,7 @@ def render(
     *,
     shadows: bool = True,
     light: Light | None = None,
+    hits: Hits | None = None,
     threads: int = THREADS,
 ) -> Rendering:
     """Render the geoms of groups 0, 1 and 2.
@@ -84,9 +85,11 @@ def render(
         visuals: Geom id -> its colours, placed in the frame of the geom's body; other geoms take `model.geom_rgba`.
         shadows: Whether the lamp throws shadows; their edges are softened on static things.
         light: Where the lamp is and how strong; None = Light().
+        hits: What the view's rays meet, normals included, where that is known; None = they are cast.
         threads: Upper limit; the result does not depend on it.
     """
-    hits = cast(model, data, view.eye, view.rays, normals=True, threads=threads)
+    if hits is None:
+        hits = cast(model, data, view.eye, view.rays, normals=True, threads=threads)
     seen = Surfaces(hits.geoms, hits.distances, hits.normals)
     return shade(model, data, view, visuals, seen, shadows=shadows, light=light, threads=threads)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from thinkgrasp.errors import InputError
 from thinkgrasp.geometry import apply, invert
-from thinkgrasp.sim.rays import SEEN_GROUPS, cast
+from thinkgrasp.sim.rays import cast
 from thinkgrasp.sim.views import CameraView
 from thinkgrasp.sim.world import World
 from thinkgrasp.types import Mask
@@ -73,7 +73,7 @@ def visible_fractions(world: World, view: CameraView) -> NDArray[np.float64]:
 
 def _geoms(world: World, view: CameraView) -> NDArray[np.int32]:
     size = (view.intrinsics.height, view.intrinsics.width)
-    return cast(world.model, world.data, view.eye, view.rays, groups=SEEN_GROUPS).geoms.reshape(size)
+    return world.hits(view).geoms.reshape(size)
 
 
 def _check(world: World, index: int) -> None:

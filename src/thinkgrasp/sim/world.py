@@ -24,7 +24,9 @@ from thinkgrasp.motion.arm_spec import ARM_JOINTS, GRIPPER_JOINTS, PADS, add_arm
 from thinkgrasp.motion.cell import BIN, HOME_RAD, STATICS, StaticBox
 from thinkgrasp.motion.robotiq_2f85 import CLOSED_RAD, STROKE_M, crank_angle, opening
 from thinkgrasp.sim.objects import CollisionPiece, SimObject, VisualPiece
-from thinkgrasp.sim.rays import OBJECT_GROUP, ROBOT_GROUP, STATIC_GROUP
+from thinkgrasp.sim.rays import OBJECT_GROUP, ROBOT_GROUP, STATIC_GROUP, Hits, cast
+from thinkgrasp.sim.views import CameraView
+from thinkgrasp.types import CameraIntrinsics
 
 TIMESTEP_S = 0.002
 FLOOR_Z_M = -0.75
@@ -37,6 +39,7 @@ GRIP_FORCE_N = 50.0
 NO_FRICTION = 0.01
 """Of pads, table, bin and mount: of two that touch MuJoCo takes the larger coefficient, so the object's counts."""
 _PARKED_Z_M = -5.0
+_VIEWS_KEPT = 4
 _AT_REST_M_S, _AT_REST_RAD_S = 0.01, 0.2
 _SHAPES = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -89,6 +92,7 @@ class World:
         for index in range(len(self.objects)):
             self.park(index)
         self._robot_geoms = self.model.geom_group == ROBOT_GROUP
+        self._last_hits: dict[tuple[CameraIntrinsics, bytes], tuple[bytes, Hits]] = {}
         if robot:
             self._pads = np.array([self.model.geom(name).id for name in PADS])
             self.set_joints(np.array(HOME_RAD), 0.085)
@@ -147,6 +151,23 @@ class World:
         """Return the world position (3,) of an object's bounding box centre."""
         T = self.pose(index)
         return T[:3, :3] @ self.objects[index].bounds_m.mean(axis=0) + T[:3, 3]
+
+    # -- rays --------------------------------------------------------------------------------------------------------
+
+    def hits(self, view: CameraView) -> Hits:
+        """Return what each pixel (H*W) of a view shows, with normals; cast anew only where something has moved."""
+        d = self.data
+        state = b"".join(array.tobytes() for array in (d.geom_xpos, d.geom_xmat, self.model.geom_group))
+        key = view.intrinsics, view.T_world_camera.tobytes()
+        before, hits = self._last_hits.pop(key, (b"", None))
+        if hits is None or before != state:
+            hits = cast(self.model, d, view.eye, view.rays, normals=True)
+            for array in (hits.geoms, hits.distances, hits.normals):
+                array.flags.writeable = False
+        self._last_hits[key] = state, hits
+        while len(self._last_hits) > _VIEWS_KEPT:
+            del self._last_hits[next(iter(self._last_hits))]
+        return hits
 
     # -- time --------------------------------------------------------------------------------------------------------
 
