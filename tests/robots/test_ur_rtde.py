@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,86 +13,22 @@ import pytest
 pytest.importorskip("mujoco", reason="needs thinkgrasp[sim]")
 pytest.importorskip("trimesh", reason="needs thinkgrasp[sim]")
 
-from fakes.cell import look, top_down
+from fakes.arm_scene import MOTIONS, Scene, after, events
+from fakes.cell import top_down
 from fakes.lab import EMERGENCY, NORMAL, PROTECTIVE, SAFEGUARD, FakeLab, ScriptedPerson, make_cell
-from fakes.things import ball, box
+from fakes.things import ball
 
 from thinkgrasp import testing
-from thinkgrasp.errors import ConfigError, InputError, MissingDependency
+from thinkgrasp.errors import InputError
 from thinkgrasp.geometry import make_transform
 from thinkgrasp.lab.agreement import CalibrationRecord
 from thinkgrasp.motion.cell import HOME_RAD
 from thinkgrasp.motion.robotiq_2f85 import flange_to_tip
 from thinkgrasp.motion.trajectory import time_path
-from thinkgrasp.robots.ur_link import Halted
 from thinkgrasp.robots.ur_rtde import URRobot
 from thinkgrasp.sim.tabletop import pose
-from thinkgrasp.sim.views import default_view
 from thinkgrasp.sim.world import World
-from thinkgrasp.types import Frame, Grasp, Outcome
-
-BLOCK = box((0.04, 0.06, 0.05), (0.8, 0.1, 0.1))
-MOTIONS = (
-    *("open the gripper to 54 mm", "to the pre-grasp", "straight in", "close the gripper", "straight up"),
-    *("to the bin", "open the gripper over the bin", "home"),
-)
-
-
-@cache
-def _frame_of_the_block() -> Frame:
-    return look(_world(), default_view("l515", (320, 240)))
-
-
-def _world() -> World:
-    """A block on the table, and a heavy one that is not there yet."""
-    world = World([BLOCK, replace(BLOCK, mass_kg=8.0)])
-    world.place(0, pose(0.5, 0.0, 0.025))
-    world.settle()
-    return world
-
-
-class Scene:
-    """A block on the table of a fake lab, a frame of it, and a grasp that works."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.world = _world()
-        self.lab = FakeLab(self.world, noise=None)
-        for name, module in self.lab.modules().items():
-            monkeypatch.setitem(sys.modules, name, module)
-        self.frame = _frame_of_the_block()
-        self.robots: list[URRobot] = []
-        self.time_s = 0.0
-
-    def grasp(self, x: float = 0.5, y: float = 0.0, z: float = 0.02, width: float = 0.054) -> Grasp:
-        return top_down(x, y, z, width=width, view=self.lab.view)
-
-    def robot(self, person: ScriptedPerson | None = None, cell: dict[str, Any] | None = None, **settings) -> URRobot:
-        made = make_cell(self.lab.gripper.port, **(cell or {}))
-        settings = {"sleep": self.lab.sleep, "clock": self.lab.clock, **settings}
-        self.robots.append(URRobot(cell=made, person=person or ScriptedPerson(), **settings))
-        return self.robots[-1]
-
-    def untouched(self) -> bool:
-        """Whether neither arm nor fingers were ever told to move."""
-        told = [r for r in self.lab.gripper.requests if r.startswith("SET")]
-        return self.lab.moved == 0 and not told
-
-    def is_home(self) -> bool:
-        return bool(np.abs(self.world.joints() - HOME_RAD).max() < 0.02 and self.world.opening() > 0.08)
-
-
-@pytest.fixture
-def scene(monkeypatch) -> Iterator[Scene]:
-    made = Scene(monkeypatch)
-    yield made
-    for robot in made.robots:
-        robot.close()
-    made.lab.close()
-
-
-def events(robot: URRobot, name: str) -> list[dict[str, object]]:
-    return [line for line in robot.journal.lines if line["event"] == name]
-
+from thinkgrasp.types import Grasp, Outcome
 
 # -- an attempt ------------------------------------------------------------------------------------------------------
 
@@ -232,6 +167,20 @@ def test_speeds_stay_below_the_limits(scene):
 
 def test_keeps_the_contract_of_a_robot(scene):
     testing.check_robot(scene.robot())
+
+
+def test_a_ball_too(scene, monkeypatch):
+    world = World([ball(0.03, (0.1, 0.2, 0.8))])
+    world.place(0, pose(0.5, 0.05, 0.03))
+    world.settle()
+    lab = FakeLab(world, noise="d455")
+    for name, module in lab.modules().items():
+        monkeypatch.setitem(sys.modules, name, module)
+    robot = URRobot(cell=make_cell(lab.gripper.port), person=ScriptedPerson(), sleep=lambda s: None)
+    grasp = top_down(0.5, 0.05, 0.025, width=0.075, view=lab.view)
+    assert robot.execute(grasp, lab.camera.read()) == Outcome(True, "held")
+    robot.close()
+    lab.close()
 
 
 # -- an arm that is not at home --------------------------------------------------------------------------------------
@@ -415,186 +364,7 @@ def test_a_robot_that_is_not_ready_is_not_moved(scene, state, reason):
     assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, reason)
 
 
-@pytest.mark.parametrize("name", MOTIONS[:2])
-def test_the_person_says_no_before_the_arm_has_moved(scene, name):
-    answers = ["yes"] * MOTIONS.index(name) + ["no"]
-    robot = scene.robot(ScriptedPerson(answers))
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "refused_by_person")
-    assert scene.lab.moved == 0
-    assert robot.halted is None, "another grasp may be offered"
-
-
-@pytest.mark.parametrize("name", ["straight in", "straight up"])
-def test_the_person_says_no_in_the_middle(scene, name):
-    answers = ["yes"] * MOTIONS.index(name) + ["no"]
-    robot = scene.robot(ScriptedPerson(answers))
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "refused_by_person")
-    moved = scene.lab.moved
-    assert robot.halted == "refused_by_person", "the arm is not at home: nothing goes on by itself"
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "refused_by_person")
-    assert scene.lab.moved == moved
-
-
-def test_an_arm_that_was_moved_while_the_question_was_open(scene):
-    robot = scene.robot()
-
-    def allow(motion):
-        if motion.name == "to the pre-grasp":
-            scene.world.set_joints(np.array(HOME_RAD) + 0.05, scene.world.opening())
-        return "yes"
-
-    robot.person.allows = allow  # type: ignore[method-assign]
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "jump")
-    assert scene.lab.moved == 0
-
-
-def test_the_person_says_stop(scene):
-    robot = scene.robot(ScriptedPerson(["stop"]))
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "stopped_by_person")
-    assert robot.halted == "stopped_by_person"
-    assert scene.lab.moved == 0
-
-
-def test_stop_with_something_in_the_fingers_leaves_their_grip(scene):
-    robot = scene.robot(ScriptedPerson(["yes"] * MOTIONS.index("to the bin") + ["stop"]))
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "stopped_by_person")
-    assert scene.lab.gripper.registers["GTO"] == 1
-    assert scene.world.held() == 0
-
-
-# -- while it moves --------------------------------------------------------------------------------------------------
-
-
-def after(lab: FakeLab, periods: int, fault: Callable[[], None]) -> None:
-    lab.after = lambda done: fault() if done == periods else None
-
-
-def frozen_clock(scene: Scene) -> dict[str, Any]:
-    def clock() -> float:
-        scene.time_s += 0.1
-        return scene.time_s
-
-    return {"clock": clock}
-
-
-def give_way(lab: FakeLab) -> None:
-    """Hold the arm where it is, whatever it is told."""
-    q = lab.world.joints()
-    lab.after = lambda done: lab.world.set_joints(q, lab.world.opening())
-
-
-FAULTS: dict[str, Callable[[FakeLab], None]] = {
-    "protective_stop": lambda lab: lab.protective_stop(),
-    "safeguard_stop": lambda lab: setattr(lab, "bits", SAFEGUARD | NORMAL),
-    "emergency_stop": lambda lab: setattr(lab, "bits", EMERGENCY),
-    "connection_lost": lambda lab: setattr(lab, "connected", False),
-    "off_track": give_way,
-}
-
-
-@pytest.mark.parametrize(("reason", "periods"), [*((name, 30) for name in FAULTS), ("protective_stop", 300)])
-def test_a_fault_in_the_middle_of_a_motion_stops_everything(scene, reason, periods):
-    robot = scene.robot()
-    after(scene.lab, periods, lambda: FAULTS[reason](scene.lab))
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, reason)
-    assert robot.halted == reason
-    moved, q = scene.lab.moved, scene.world.joints()
-    scene.world.step(200)
-    assert np.abs(scene.world.joints() - q).max() < 0.06, "it has come to a stop"
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, reason)
-    assert scene.lab.moved == moved, "nothing more was sent"
-    assert events(robot, "halted")[0]["reason"] == reason
-    assert scene.lab.unlocked == 0, "a protective stop is never released by itself"
-
-
-@pytest.mark.parametrize("reason", ["safeguard_stop", "off_track"])
-def test_after_a_stop_the_arm_has_no_position_left_to_go_to(scene, reason):
-    """A paused program takes no command, and goes on to the last position when it is resumed: it has to be ended."""
-    robot = scene.robot()
-    after(scene.lab, 30, lambda: FAULTS[reason](scene.lab))
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, reason)
-    assert scene.lab.stops == 1 or not scene.lab.running
-
-
-def test_an_arm_that_cannot_be_told_to_stop_is_said(scene):
-    robot = scene.robot()
-    after(scene.lab, 30, lambda: FAULTS["connection_lost"](scene.lab))
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
-    assert "use the emergency stop" in str(events(robot, "halted")[0]["detail"])
-
-
-def test_a_motion_that_ends_without_the_servo_letting_go_is_none(scene):
-    robot = scene.robot()
-    scene.lab.control_servoStop = lambda deceleration: False
-    scene.lab.dashboard_stop = lambda: (_ for _ in ()).throw(RuntimeError("Failed to execute: stop"))
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
-    assert "use the emergency stop" in str(events(robot, "halted")[0]["detail"])
-
-
-def test_a_motion_does_not_go_on_after_the_vendors_module_has_connected_again(scene):
-    robot = scene.robot()
-    after(scene.lab, 40, lambda: setattr(scene.lab, "gap_s", 3.0))
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
-    assert robot.halted == "connection_lost"
-    assert scene.lab.moved < 45
-
-
-def test_a_stream_that_stops_in_the_middle_of_a_motion(scene):
-    robot = scene.robot(**frozen_clock(scene))
-    after(scene.lab, 40, lambda: setattr(scene.lab, "frozen_clock", True))
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
-    assert scene.lab.moved < 50
-
-
-def test_a_stream_that_stopped_while_the_question_was_open(scene):
-    """The vendor's module goes on to return what it heard last, which looks fine."""
-    robot = scene.robot()
-
-    def allow(motion):
-        scene.lab.frozen_clock = motion.name == "to the pre-grasp"
-        return "yes"
-
-    robot.person.allows = allow  # type: ignore[method-assign]
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
-    assert scene.lab.moved == 0
-    with pytest.raises(InputError, match="nothing new came from the robot"):
-        robot.T_world_flange()
-
-
-def test_a_payload_that_the_controller_does_not_take(scene):
-    robot = scene.robot()
-    scene.lab.control_setPayload = lambda mass, center: False
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
-    assert scene.lab.moved == 0
-
-
-def test_a_program_that_was_stopped_on_the_pendant(scene):
-    robot = scene.robot()
-    after(scene.lab, 40, lambda: setattr(scene.lab, "running", False))
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
-    assert robot.halted == "connection_lost"
-
-
-def test_a_controller_that_says_nothing_new(scene):
-    robot = scene.robot(**frozen_clock(scene))
-    scene.lab.frozen_clock = True
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
-    assert scene.lab.moved < 10
-
-
-def test_a_force_above_the_limit_stops_a_motion(scene):
-    robot = scene.robot(cell={"limits.force_n": 20.0})
-    names: list[str] = []
-
-    def push(done: int) -> None:
-        scene.lab.force_n = 25.0 if names[-1:] == ["straight in"] else 0.0
-
-    scene.lab.after = push
-    robot.person.allows = lambda motion: names.append(motion.name) or "yes"  # type: ignore[method-assign]
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "collision")
-    assert events(robot, "pressed")[0]["name"] == "straight in"
-    assert names[-2:] == ["back the way it came", "home"]
-    assert scene.world.joints() == pytest.approx(HOME_RAD, abs=0.02)
+# -- ways back -------------------------------------------------------------------------------------------------------
 
 
 def test_no_way_home_leaves_the_arm_over_the_bin(scene):
@@ -608,18 +378,6 @@ def test_no_way_home_leaves_the_arm_over_the_bin(scene):
     robot.person.allows = allow  # type: ignore[method-assign]
     assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "no_way_home")
     assert robot.halted == "no_way_home"
-
-
-def test_an_interrupt_from_the_keyboard_stops_the_arm(scene):
-    robot = scene.robot()
-
-    def interrupt() -> None:
-        raise KeyboardInterrupt
-
-    after(scene.lab, 30, interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        robot.execute(scene.grasp(), scene.frame)
-    assert scene.lab.stops == 1
 
 
 class TestProtectiveStop:
@@ -697,126 +455,3 @@ class TestProtectiveStop:
         robot, outcome = self.stopped(scene, ScriptedPerson(confirms=[True]))
         assert outcome == Outcome(False, "protective_stop")
         assert robot.halted == "protective_stop"
-
-
-# -- the gripper -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("at", ["SET POS", "GET OBJ"])
-def test_a_gripper_that_falls_silent_stops_everything(scene, at):
-    robot = scene.robot()
-    scene.lab.gripper.spoil = lambda request, reply: b"" if request.startswith(at) else reply
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "gripper_silent")
-    assert robot.halted == "gripper_silent"
-    assert scene.lab.moved == 0
-
-
-def test_a_gripper_that_falls_silent_while_it_holds(scene):
-    robot = scene.robot()
-    robot.person.allows = lambda motion: (
-        (  # type: ignore[method-assign]
-            setattr(scene.lab.gripper, "spoil", lambda request, reply: None) if motion.name == "to the bin" else None
-        )
-        or "yes"
-    )
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "gripper_silent")
-    moved = scene.lab.moved
-    assert robot.halted == "gripper_silent"
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "gripper_silent")
-    assert scene.lab.moved == moved
-
-
-def test_a_gripper_with_a_fault(scene):
-    scene.lab.gripper.registers["FLT"] = 14
-    robot = scene.robot()
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "gripper_fault")
-    assert scene.lab.moved == 0
-    assert "overcurrent" in " ".join(robot.person.told)  # type: ignore[attr-defined]
-
-
-def test_a_gripper_that_does_not_open_as_told(scene):
-    scene.lab.gripper.spoil = lambda request, reply: b"POS 200" if reply[:3] == b"POS" else reply
-    robot = scene.robot()
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "gripper_fault")
-    assert scene.lab.moved == 0
-    assert scene.lab.gripper.registers["GTO"] == 0
-
-
-def test_an_inactive_gripper_is_activated_when_the_person_agrees(scene):
-    scene.lab.gripper.registers.update(ACT=0, STA=0, GTO=0)
-    person = ScriptedPerson()
-    assert scene.robot(person).execute(scene.grasp(), scene.frame).success
-    assert person.asked[0].name == "activate the gripper"
-
-
-# -- connecting ------------------------------------------------------------------------------------------------------
-
-
-def test_no_robot_answers(scene):
-    scene.lab.connected = False
-    with pytest.raises(ConfigError, match=r"does not let itself be controlled: Could not connect .* remote control"):
-        scene.robot()
-
-
-def test_no_gripper_answers(scene):
-    scene.lab.gripper.close()
-    with pytest.raises(ConfigError, match="nothing answers for the gripper"):
-        scene.robot()
-
-
-def test_ur_rtde_is_not_installed(scene, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rtde_control", None)
-    with pytest.raises(MissingDependency, match=r"pip install 'thinkgrasp\[ur\]'"):
-        scene.robot()
-
-
-def test_joint_angles_that_are_none(scene):
-    robot = scene.robot()
-    scene.lab.receive_getActualQ = lambda: [np.nan] * 6
-    with pytest.raises(Halted, match="joint angles that are none"):
-        robot.link.state()
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
-    assert scene.untouched()
-
-
-def test_forces_that_are_missing(scene):
-    robot = scene.robot()
-    scene.lab.receive_getActualTCPForce = list
-    assert robot.execute(scene.grasp(), scene.frame) == Outcome(False, "connection_lost")
-    assert scene.untouched()
-
-
-def test_where_the_flange_is(scene):
-    robot = scene.robot()
-    np.testing.assert_allclose(robot.T_world_flange(), scene.world.flange(), atol=1e-4)
-    scene.lab.connected = False
-    with pytest.raises(InputError, match="connection to the robot"):
-        robot.T_world_flange()
-
-
-@pytest.mark.parametrize("module", ["rtde_control", "rtde_receive", "dashboard_client"])
-def test_the_vendors_interface_has_what_the_fake_has(module):
-    """The names that the driver and the fake use exist in ur_rtde, where it is installed."""
-    from fakes.lab import CONTROL, DASHBOARD, RECEIVE
-
-    vendor = pytest.importorskip(module, reason="ur_rtde is not installed: pip install 'thinkgrasp[ur]'")
-    name, methods = {
-        "rtde_control": ("RTDEControlInterface", CONTROL),
-        "rtde_receive": ("RTDEReceiveInterface", RECEIVE),
-        "dashboard_client": ("DashboardClient", DASHBOARD),
-    }[module]
-    assert [m for m in methods if not hasattr(getattr(vendor, name), m)] == []
-
-
-def test_a_ball_too(scene, monkeypatch):
-    world = World([ball(0.03, (0.1, 0.2, 0.8))])
-    world.place(0, pose(0.5, 0.05, 0.03))
-    world.settle()
-    lab = FakeLab(world, noise="d455")
-    for name, module in lab.modules().items():
-        monkeypatch.setitem(sys.modules, name, module)
-    robot = URRobot(cell=make_cell(lab.gripper.port), person=ScriptedPerson(), sleep=lambda s: None)
-    grasp = top_down(0.5, 0.05, 0.025, width=0.075, view=lab.view)
-    assert robot.execute(grasp, lab.camera.read()) == Outcome(True, "held")
-    robot.close()
-    lab.close()
