@@ -9,7 +9,7 @@ from fakes.cell import small_pile
 
 from thinkgrasp.benchmark.baselines import BestScore, Forgetful, PlannedMark, RandomObject, WithoutGraph
 from thinkgrasp.benchmark.chat import MODEL
-from thinkgrasp.benchmark.methods import VARIANTS, Method, parse_method, running
+from thinkgrasp.benchmark.methods import VARIANTS, Method, check_methods, parse_method, running
 from thinkgrasp.config import PRESETS, StageConfig, to_json
 from thinkgrasp.errors import ConfigError
 from thinkgrasp.memory import Memory
@@ -31,6 +31,21 @@ def test_an_accuracy_names_an_emulated_model():
     method = parse_method("vlm-paper@0.8")
     assert (method.name, method.accuracy) == ("vlm-paper@0.8", 0.8)
     assert method.config.planner.settings["model"] == MODEL
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("planner=mine", r"method 'planner=mine' cannot run here: no planner named 'mine'; installed: "),
+        ("vlm", r"method 'vlm' cannot run here: .*OPENAI_API_KEY is not set"),
+        ("learned", r"method 'learned' cannot run here: "),
+    ],
+)
+def test_what_cannot_be_made_is_found_before_anything_runs(monkeypatch, name, says):
+    monkeypatch.delenv("OPENAI_API_KEY", raising=False)
+    check_methods(map(parse_method, ("offline", "vlm@0.8", "vlm-paper@1+truth", *VARIANTS)))
+    with pytest.raises(ConfigError, match=says):
+        check_methods([parse_method("offline"), parse_method(name)])
 
 
 def test_a_plug_in_is_one_more_name():

@@ -26,6 +26,13 @@ def test_a_cluster_gives_the_numbers_of_local_processes(tmp_path):
     assert same_results(*found) == ()
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_a_method_that_cannot_run_there_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"^method 'planner=mine' cannot run here: no planner named 'mine'"):
+        run_benchmark(small_plan(("planner=mine",)), tmp_path, ray_workers("local"), lambda text: None)
+    assert not (tmp_path / "benchmark.json").exists()
+
+
 def test_no_cluster_is_named():
     with pytest.raises(ConfigError, match=r"the Ray cluster '127.0.0.1:1' cannot be reached"):
         ray_workers("127.0.0.1:1")

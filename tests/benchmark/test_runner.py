@@ -146,6 +146,15 @@ def test_other_piles_in_one_folder_are_refused(tmp_path):
         read_plan(tmp_path).merged(replace(small_plan(), first_seed=7))
 
 
+def test_a_method_that_cannot_run_here_is_refused_and_not_kept(tmp_path):
+    run_benchmark(small_plan(), tmp_path, fake_source, quiet)
+    before = (tmp_path / "benchmark.json").read_bytes()
+    with pytest.raises(ConfigError, match="method 'planner=mine' cannot run here: no planner named 'mine'"):
+        run_benchmark(small_plan(("planner=mine",)), tmp_path, local_workers(1), quiet)
+    assert (tmp_path / "benchmark.json").read_bytes() == before
+    assert not multiprocessing.active_children()
+
+
 def test_real_processes_run_real_episodes_and_outlive_a_killed_one(tmp_path):
     """Two workers; one is killed while it works."""
     from thinkgrasp.sim.options import CameraOptions

@@ -9,7 +9,7 @@ in place of the offline preset's own as `planner=NAME`, `segmenter=NAME`, `gener
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Literal, cast
@@ -24,12 +24,14 @@ from thinkgrasp.benchmark.baselines import (
 )
 from thinkgrasp.benchmark.chat import MODEL
 from thinkgrasp.benchmark.emulator import Quality, VlmEmulator
-from thinkgrasp.config import PRESETS, STAGES, PipelineConfig, StageConfig, load_config, override
-from thinkgrasp.errors import ConfigError
+from thinkgrasp.config import PRESETS, STAGES, PipelineConfig, StageConfig, load_config, make_pipeline, override
+from thinkgrasp.errors import ConfigError, ThinkGraspError
+from thinkgrasp.loop_stages import for_the_loop
 from thinkgrasp.pipeline import Pipeline
 from thinkgrasp.sim.oracle import ORACLE, TruthPerception
 from thinkgrasp.testbed import Session
 
+_NOBODYS_URL = "http://127.0.0.1:9/v1"
 Variant = Literal["oracle", "no-memory", "no-graph", "random-object", "best-score", ""]
 VARIANTS: dict[str, str] = {
     ORACLE: "names and masks are the simulator's truth: an upper bound",
@@ -96,6 +98,21 @@ def _named(name: str) -> Method:
         return Method(name, load_config(name))
     except ConfigError as error:
         raise ConfigError(f"{error}; or one of {', '.join(VARIANTS)}") from error
+
+
+def check_methods(methods: Iterable[Method]) -> None:
+    """Make the stages of methods once, so that what cannot be made is found before anything runs.
+
+    Raises:
+        ConfigError: A stage is missing, needs what is not installed, or does not take its settings.
+    """
+    for method in methods:
+        emulated = method.accuracy is not None
+        config = override(method.config, "planner.base_url", _NOBODYS_URL) if emulated else method.config
+        try:
+            make_pipeline(for_the_loop(config))
+        except ThinkGraspError as error:
+            raise ConfigError(f"method {method.name!r} cannot run here: {error}") from error
 
 
 @contextmanager

@@ -10,9 +10,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, cast
 
+from thinkgrasp.benchmark.methods import check_methods
 from thinkgrasp.benchmark.plan import BenchmarkPlan
 from thinkgrasp.benchmark.records import EpisodeRecord, Record, SceneRecord
-from thinkgrasp.benchmark.runner import THREAD_VARIABLES, Died, Group, Source, run_group
+from thinkgrasp.benchmark.runner import THREAD_VARIABLES, Died, Group, Source, methods_of, run_group
 from thinkgrasp.errors import ConfigError, MissingDependency
 
 CONNECT_S = 5.0
@@ -51,6 +52,14 @@ def ray_workers(address: str) -> Source:
     remote: Any = ray.remote(num_cpus=1, max_retries=0)(_records)
 
     def run(plan: BenchmarkPlan, groups: deque[Group]) -> Iterator[Record | Died]:
+        try:
+            ray.get(ray.remote(check_methods).remote(methods_of(plan, groups)))
+        except RayError as error:
+            ray.shutdown()
+            raise ConfigError(str(getattr(error, "cause", error))) from error
+        return records(plan, groups)
+
+    def records(plan: BenchmarkPlan, groups: deque[Group]) -> Iterator[Record | Died]:
         running: dict[Any, Group] = {}
         shared = ray.put(plan)
         slots = max(1, int(ray.cluster_resources().get("CPU", 1)))

@@ -13,7 +13,7 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from multiprocessing.connection import Connection, wait
@@ -21,6 +21,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from thinkgrasp.benchmark.fewest_steps import fewest_steps
+from thinkgrasp.benchmark.methods import Method, check_methods
 from thinkgrasp.benchmark.plan import PLAN_FILE, BenchmarkPlan, read_plan
 from thinkgrasp.benchmark.records import (
     CRASHED,
@@ -68,7 +69,8 @@ class Died:
 
 
 Source = Callable[[BenchmarkPlan, "deque[Group]"], Iterator[Record | Died]]
-"""Runs groups, which may be added to while it does, and yields what comes of them."""
+"""Runs groups, which may be added to while it does, and yields what comes of them; the call itself raises ConfigError
+where a method cannot run there."""
 
 
 def missing_groups(plan: BenchmarkPlan, records: Records) -> list[Group]:
@@ -81,6 +83,12 @@ def missing_groups(plan: BenchmarkPlan, records: Records) -> list[Group]:
             if missing or needs_scene:
                 groups.append(Group(task, seed, tuple(missing), needs_scene))
     return groups
+
+
+def methods_of(plan: BenchmarkPlan, groups: Iterable[Group]) -> tuple[Method, ...]:
+    """Return the methods that groups run."""
+    names = {name for group in groups for name in group.methods}
+    return tuple(method for method in plan.methods if method.name in names)
 
 
 def run_benchmark(
@@ -101,17 +109,19 @@ def run_benchmark(
         retry_crashed: Run those again that crashed.
 
     Raises:
-        ConfigError: Another process writes to the folder, or it holds results of other piles or other methods.
+        ConfigError: A method cannot run here; another process writes to the folder, or it holds results of other piles
+            or other methods.
         InputError: The folder cannot be used, or holds what is no benchmark.
     """
     with RecordLog(folder, drop=lambda episode: retry_crashed and episode.end == CRASHED) as log:
         if (folder / PLAN_FILE).exists():
             plan = read_plan(folder).merged(plan)
-        plan.started().write(folder)
         groups = deque(missing_groups(plan, log.records))
+        found = source(plan, groups)
+        plan.started().write(folder)
         progress = _Progress(sum(len(group.methods) for group in groups), tell)
         starts: dict[EpisodeKey, int] = {}
-        for record in source(plan, groups):
+        for record in found:
             if not isinstance(record, Died):
                 log.add(record)
                 if isinstance(record, EpisodeRecord):
@@ -206,6 +216,10 @@ def local_workers(n: int) -> Source:
     def run(plan: BenchmarkPlan, groups: deque[Group]) -> Iterator[Record | Died]:
         for variable in THREAD_VARIABLES:
             os.environ[variable] = "1"
+        check_methods(methods_of(plan, groups))
+        return records(plan, groups)
+
+    def records(plan: BenchmarkPlan, groups: deque[Group]) -> Iterator[Record | Died]:
         workers: dict[Connection, _Worker] = {}
         try:
             while groups or workers:
