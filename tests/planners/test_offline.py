@@ -101,8 +101,9 @@ def test_of_two_that_fit_the_free_one_is_taken() -> None:
 
 def test_in_a_pile_what_may_hide_the_goal_goes_first() -> None:
     blocks = [thing(m, (0.1, 0.1 * m - 0.4), (0.09, 0.09, 0.04), {"blue": 0.9}, {"box-like": 0.9}) for m in (4, 5)]
-    p = plan(scene([RED_BOX, *blocks], [rests(2, 4), rests(2, 5)]), "the banana")
-    assert (p.found, p.role, p.mark) == (True, "obstruction", 2)
+    board = thing(6, (0.1, 0.2), (0.30, 0.30, 0.02), {"brown": 0.9}, {"flat": 0.9}, raised=0.04)
+    p = plan(scene([RED_BOX, board, *blocks], [rests(2, 4), rests(6, 5), rests(2, 5)]), "the banana")
+    assert (p.found, p.role, p.mark) == (True, "obstruction", 2)  # the highest, though the board is wider
     assert "most likely hides it" in p.rationale
     assert "pile" in p.rationale
 

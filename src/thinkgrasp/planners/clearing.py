@@ -106,7 +106,8 @@ def likely_hider(
         skip: Marks not to consider, because removing them failed before.
 
     Returns:
-        The thing with the most hidden room, in a pile before one that stands free; None where nothing can hide it.
+        The highest thing in a pile, which lies over most of it; else the one that stands free with the most hidden room
+        behind it; None where nothing can hide the goal.
     """
     found: list[Hider] = []
     for pile in piles(scene):
@@ -114,12 +115,8 @@ def likely_hider(
             thing = scene.proposal(mark)
             if in_the_way(scene, mark, skip) or not _covers(thing, longest_m, shortest_m):
                 continue
-            room = thing.extents_m[0] * thing.extents_m[1]
-            rests = any(e.relation == "rests_on" and e.a == mark for e in scene.obstructions)
-            reason = (
-                f"it lies in a pile of {len(pile)} and covers {thing.extents_m[0]:.2f} x {thing.extents_m[1]:.2f} m"
-            )
-            found.append(Hider(mark, room * (2.0 if rests else 1.0), reason))
+            top = thing.height_m[1]
+            found.append(Hider(mark, top, f"it lies in a pile of {len(pile)}, and its top {top:.2f} m high"))
     if not found and not in_piles_only and scene.support is not None:
         for thing in scene.proposals:
             room = shadow_m(scene, thing)
