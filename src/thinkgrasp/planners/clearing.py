@@ -116,7 +116,7 @@ def likely_hider(
             if in_the_way(scene, mark, skip) or not _covers(thing, longest_m, shortest_m):
                 continue
             top = thing.height_m[1]
-            found.append(Hider(mark, top, f"it lies in a pile of {len(pile)}, and its top {top:.2f} m high"))
+            found.append(Hider(mark, top, f"it lies in a pile of {len(pile)} and reaches {top:.2f} m up"))
     if not found and not in_piles_only and scene.support is not None:
         for thing in scene.proposals:
             room = shadow_m(scene, thing)
