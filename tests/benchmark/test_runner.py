@@ -20,7 +20,7 @@ from fakes.benchmark import episode, fake_source, scene, small_plan
 
 from thinkgrasp.benchmark.plan import read_plan
 from thinkgrasp.benchmark.records import CRASHED, EpisodeKey, EpisodeRecord, StepRecord, read_records
-from thinkgrasp.benchmark.runner import Died, Group, local_workers, missing_groups, run_benchmark
+from thinkgrasp.benchmark.runner import Died, Group, local_workers, missing_groups, run_benchmark, take_group
 from thinkgrasp.errors import ConfigError
 
 
@@ -37,6 +37,20 @@ def test_groups_are_what_is_missing_one_pile_each():
     for record in (scene("clutter-06-fruit", 1000), *episode(EpisodeKey("oracle", "clutter-06-fruit", 1000))):
         folder.add(record)
     assert missing_groups(plan, folder)[0] == Group("clutter-06-fruit", 1000, ("offline",), False)
+
+
+@pytest.mark.parametrize(("piles", "workers"), [(1, 1), (1, 2), (2, 2), (5, 2), (3, 16), (40, 16)])
+def test_the_last_piles_are_shared_out_and_nothing_is_run_twice(piles, workers):
+    methods = ("a", "b", "c", "d", "e")
+    groups = deque(Group("task", seed, methods, needs_scene=True) for seed in range(piles))
+    taken: list[Group] = []
+    while groups:
+        taken.append(take_group(groups, workers))
+    assert sorted((g.seed, m) for g in taken for m in g.methods) == [(s, m) for s in range(piles) for m in methods]
+    assert sorted(g.seed for g in taken if g.needs_scene) == list(range(piles))
+    whole = piles if workers == 1 else max(0, piles - workers + 1)
+    assert [len(g.methods) for g in taken[:whole]] == [5] * whole
+    assert workers == 1 or len(taken[-1].methods) == 1
 
 
 def run_nothing():

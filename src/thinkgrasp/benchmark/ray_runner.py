@@ -13,7 +13,7 @@ from typing import Any, cast
 from thinkgrasp.benchmark.methods import check_methods
 from thinkgrasp.benchmark.plan import BenchmarkPlan
 from thinkgrasp.benchmark.records import EpisodeRecord, Record, SceneRecord
-from thinkgrasp.benchmark.runner import THREAD_VARIABLES, Died, Group, Source, methods_of, run_group
+from thinkgrasp.benchmark.runner import THREAD_VARIABLES, Died, Group, Source, methods_of, run_group, take_group
 from thinkgrasp.errors import ConfigError, MissingDependency
 
 CONNECT_S = 5.0
@@ -66,7 +66,7 @@ def ray_workers(address: str) -> Source:
         try:
             while groups or running:
                 while groups and len(running) < slots:
-                    group = groups.popleft()
+                    group = take_group(groups, slots)
                     running[remote.remote(shared, group)] = group
                 found, _ = ray.wait(list(running), num_returns=1)
                 ready: Any = found[0]

@@ -37,6 +37,7 @@ from thinkgrasp.benchmark.records import (
 from thinkgrasp.benchmark.suites import Case, SuiteSource, load_suite
 from thinkgrasp.benchmark.trial import run_trial
 from thinkgrasp.errors import ThinkGraspError
+from thinkgrasp.sim.scenes import PiledScene
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """One thread for linear algebra, so that sums are the same for any number of workers."""
@@ -83,6 +84,16 @@ def missing_groups(plan: BenchmarkPlan, records: Records) -> list[Group]:
             if missing or needs_scene:
                 groups.append(Group(task, seed, tuple(missing), needs_scene))
     return groups
+
+
+def take_group(groups: deque[Group], workers: int) -> Group:
+    """Take the next group; of the last ones half, so that no worker runs all methods of a pile while others idle."""
+    group = groups.popleft()
+    half = (len(group.methods) + 1) // 2
+    if len(groups) < workers - 1 and half < len(group.methods):
+        groups.append(replace(group, methods=group.methods[half:], needs_scene=False))
+        return replace(group, methods=group.methods[:half])
+    return group
 
 
 def methods_of(plan: BenchmarkPlan, groups: Iterable[Group]) -> tuple[Method, ...]:
@@ -171,7 +182,7 @@ def run_group(plan: BenchmarkPlan, group: Group, emit: Callable[[Record], None])
     case = _cases(plan.source)[group.task]
     start = time.perf_counter()
     try:
-        scene = case.scene(group.seed)
+        scene = _scene(plan.source, group.task, group.seed)
     except ThinkGraspError as error:
         if group.needs_scene:
             emit(SceneRecord(group.task, group.seed, case.instruction, error=str(error)))
@@ -210,6 +221,11 @@ def _cases(source: SuiteSource) -> dict[str, Case]:
     return {case.name: case for case in load_suite(source)}
 
 
+@lru_cache(maxsize=1)
+def _scene(source: SuiteSource, task: str, seed: int) -> PiledScene:
+    return _cases(source)[task].scene(seed)
+
+
 def local_workers(n: int) -> Source:
     """Return a source of that many processes of this machine."""
 
@@ -224,7 +240,7 @@ def local_workers(n: int) -> Source:
         try:
             while groups or workers:
                 while groups and len(workers) < n:
-                    worker = _Worker(plan, groups.popleft())
+                    worker = _Worker(plan, take_group(groups, n))
                     workers[worker.connection] = worker
                 for ready in wait(list(workers)):
                     worker = workers[ready]  # pyright: ignore
@@ -234,7 +250,7 @@ def local_workers(n: int) -> Source:
                             del workers[ready]  # pyright: ignore
                             worker.stop()
                         else:
-                            worker.start(groups.popleft())
+                            worker.start(take_group(groups, n))
                         continue
                     if isinstance(said, Died):
                         del workers[ready]  # pyright: ignore

@@ -144,8 +144,9 @@ class Pile:
         mujoco.mj_forward(self.world.model, self.world.data)
 
     def _leaves(self, index: int) -> bool:
-        beyond = np.abs(self.world.center(index)[:2] - _MIDDLE) > _FENCE
-        return bool(beyond.any()) and self.world.speed(index)[0] > STOPPED_M_S
+        if self.world.speed(index)[0] <= STOPPED_M_S:
+            return False
+        return bool((np.abs(self.world.center(index)[:2] - _MIDDLE) > _FENCE).any())
 
     def _random_rotation(self, index: int) -> Float:
         if needs_its_rim(self.world.objects[index]):

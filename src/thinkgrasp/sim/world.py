@@ -65,6 +65,7 @@ class World:
 
     def __init__(self, objects: Sequence[SimObject], *, robot: bool = True) -> None:
         self.objects = tuple(objects)
+        self._centers = [obj.bounds_m.mean(axis=0) for obj in self.objects]
         spec = _cell_spec()
         if robot:
             add_arm(spec)
@@ -150,7 +151,7 @@ class World:
     def center(self, index: int) -> NDArray[np.float64]:
         """Return the world position (3,) of an object's bounding box centre."""
         T = self.pose(index)
-        return T[:3, :3] @ self.objects[index].bounds_m.mean(axis=0) + T[:3, 3]
+        return T[:3, :3] @ self._centers[index] + T[:3, 3]
 
     # -- rays --------------------------------------------------------------------------------------------------------
 
