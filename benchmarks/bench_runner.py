@@ -1,11 +1,12 @@
 """Whether a benchmark gives the same numbers however it runs, and how much faster two processes are than one.
 
-    python benchmarks/bench_runner.py [--runs 3] [--kills 10] [--ray local] [--out DIR]
+    python benchmarks/bench_runner.py [--runs 3] [--repeats 1] [--kills 10] [--ray local] [--out DIR]
 
 The same episodes (preset offline, oracle and an emulated model on three tasks) run through the real command: with one
 worker; with two; with two, all processes killed (SIGKILL) at random moments and started again; and, with --ray, on a
 Ray cluster. Every folder is compared with the first one, record by record, times apart. Episodes per hour
-include the start of the processes. Take the ratio from a machine with nothing else to do.
+include the start of the processes and the report. Take the ratio from a machine with nothing else to do; with
+--repeats, one and two workers take turns, so that a machine that is slower for a while counts for both.
 """
 
 from __future__ import annotations
@@ -76,11 +77,14 @@ def verdict(reference: Path, other: Path) -> str:
     return f"{len(b.episodes)} episodes, {same}, {kept}"
 
 
-def main(runs: int = 3, kills: int = 10, ray: str | None = None, seed: int = 0, out: Path | None = None) -> None:
+def main(
+    runs: int = 3, repeats: int = 1, kills: int = 10, ray: str | None = None, seed: int = 0, out: Path | None = None
+) -> None:
     """Run all ways and print the verdicts.
 
     Args:
         runs: Piles per task.
+        repeats: Times that one and two workers run everything.
         kills: Times that the run is killed.
         ray: Address of a Ray cluster, or "local"; None = without.
         seed: Of the moments of the kills.
@@ -88,13 +92,20 @@ def main(runs: int = 3, kills: int = 10, ray: str | None = None, seed: int = 0, 
     """
     with tempfile.TemporaryDirectory() as scratch:
         folder = out or Path(scratch)
-        one, two, killed, cluster = (folder / name for name in ("one", "two", "killed", "ray"))
+        one, killed, cluster = folder / "one-1", folder / "killed", folder / "ray"
         n = runs * len(TASKS) * len(METHODS)
-        alone = run(one, runs, "--workers", "1")
-        both = run(two, runs, "--workers", "2")
-        print(f"one worker: {n / alone * 3600:.0f} episodes an hour")
-        print(f"two workers: {n / both * 3600:.0f} episodes an hour, {alone / both:.2f} times as many")
-        print(f"  {verdict(one, two)}", flush=True)
+        seconds: list[tuple[float, float]] = []
+        for turn in range(1, repeats + 1):
+            alone = run(folder / f"one-{turn}", runs, "--workers", "1")
+            both = run(folder / f"two-{turn}", runs, "--workers", "2")
+            print(f"one worker: {n / alone * 3600:.0f} episodes an hour")
+            print(f"two workers: {n / both * 3600:.0f} episodes an hour, {alone / both:.2f} times as many")
+            print(f"  {verdict(one, folder / f'two-{turn}')}", flush=True)
+            seconds.append((alone, both))
+        if repeats > 1:
+            alone, both = (sum(column) for column in zip(*seconds, strict=True))
+            print(f"all turns: {repeats * n / alone * 3600:.0f} and {repeats * n / both * 3600:.0f} episodes an hour, "
+                  f"{alone / both:.2f} times as many")  # fmt: skip
         if kills:
             finished = run_killed(killed, runs, kills, seed)
             print(f"killed {kills} times, with {', '.join(map(str, finished))} of {n} episodes finished")
