@@ -1,8 +1,9 @@
 """Hand-eye calibration: AX = XB from poses of an arm and of a board, with an error that was not fitted to.
 
 Two arrangements. "fixed": the camera stands still, the board is on the arm's flange; sought is T_base_camera. "hand":
-the camera is on the flange, the board lies still; sought is T_flange_camera. OpenCV's solvers all run, the one
-whose held-out error is smallest is taken, and what it finds is refined by least squares over camera and board at once.
+the camera is on the flange, the board lies still; sought is T_flange_camera. OpenCV's solvers all run; what the one
+finds that fits best is refined by least squares over camera and board at once. Each pose's error is held out: it is
+that of a refinement without the pose and its repetitions.
 
 References:
     Park and Martin 1994; Horaud and Dornaika 1995; Daniilidis 1999; Tsai and Lenz 1989 (the solvers, in OpenCV).
