@@ -231,7 +231,7 @@ def _line(x0: float, y0: float, x1: float, y1: float, color: str, width: float =
 
 
 def _rect(x: float, y: float, wide: float, high: float, color: str, told: str, *, is_hollow: bool = False) -> str:
-    where = f'x="{x:.1f}" y="{y:.1f}" width="{max(wide, 0.5):.1f}" height="{high:.1f}"'
+    where = f'x="{x:.1f}" y="{y:.1f}" width="{max(wide, 0.5):.1f}" height="{max(high, 0.5):.1f}"'
     paint = f'fill="none" stroke="{color}" stroke-width="1.5"' if is_hollow else f'fill="{color}"'
     return f"<rect {where} {paint}>{_title(told)}</rect>"
 
