@@ -19,7 +19,16 @@ pytest.importorskip("trimesh", reason="needs thinkgrasp[sim]")
 from fakes.benchmark import episode, fake_source, scene, small_plan
 
 from thinkgrasp.benchmark.plan import read_plan
-from thinkgrasp.benchmark.records import CRASHED, EpisodeKey, EpisodeRecord, StepRecord, read_records
+from thinkgrasp.benchmark.records import (
+    CRASHED,
+    NO_SCENE,
+    EpisodeKey,
+    EpisodeRecord,
+    Records,
+    SceneRecord,
+    StepRecord,
+    read_records,
+)
 from thinkgrasp.benchmark.runner import Died, Group, local_workers, missing_groups, run_benchmark, take_group
 from thinkgrasp.errors import ConfigError
 
@@ -30,7 +39,7 @@ def quiet(text: str) -> None:
 
 def test_groups_are_what_is_missing_one_pile_each():
     plan = small_plan(runs=2)
-    folder = run_nothing()
+    folder = Records()
     assert missing_groups(plan, folder) == [
         Group(task, seed, ("offline", "oracle"), True) for seed in (1000, 1001) for task in plan.tasks
     ]
@@ -51,12 +60,6 @@ def test_the_last_piles_are_shared_out_and_nothing_is_run_twice(piles, workers):
     whole = piles if workers == 1 else max(0, piles - workers + 1)
     assert [len(g.methods) for g in taken[:whole]] == [5] * whole
     assert workers == 1 or len(taken[-1].methods) == 1
-
-
-def run_nothing():
-    from thinkgrasp.benchmark.records import Records
-
-    return Records()
 
 
 def test_a_run_holds_every_episode_once_and_says_how_far_it_is(tmp_path):
@@ -128,6 +131,23 @@ def test_an_episode_whose_process_dies_twice_counts_as_crashed_and_ends_nothing_
     assert len(records.episodes) == 12
     again = run_benchmark(small_plan(), tmp_path, fake_source, quiet, retry_crashed=True)
     assert not any(e.end == CRASHED for e in again.episodes.values())
+
+
+def test_piles_that_failed_are_made_again_when_asked_for(tmp_path):
+    def without_piles(plan, groups):
+        for group in groups:
+            yield SceneRecord(group.task, group.seed, "I need a fruit", error="it rolls")
+            for method in group.methods:
+                yield EpisodeRecord(*group.key(method), success=False, end=NO_SCENE, steps=0, error="it rolls")
+
+    run_benchmark(small_plan(), tmp_path, without_piles, quiet)
+    kept = run_benchmark(small_plan(), tmp_path, fake_source, quiet)
+    assert {e.end for e in kept.episodes.values()} == {NO_SCENE}
+    run_benchmark(small_plan(), tmp_path, fake_source, quiet, retry_crashed=True)
+    again, whole = read_records(tmp_path), Records()
+    for record in fake_source(small_plan(), deque(missing_groups(small_plan(), whole))):
+        whole.add(record)
+    assert (again.scenes, again.episodes, again.steps) == (whole.scenes, whole.episodes, whole.steps)
 
 
 def test_killed_at_any_moment_and_run_again_it_ends_with_the_same_records(tmp_path):

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from thinkgrasp.errors import ConfigError
+from thinkgrasp.errors import ConfigError, InputError
 from thinkgrasp.geometry import apply, make_transform
 from thinkgrasp.motion.cell import WORKSPACE_M
 from thinkgrasp.sim import catalogue, scenes
 from thinkgrasp.sim.goals import goals_in
-from thinkgrasp.sim.paper_cases import load_case
+from thinkgrasp.sim.paper_cases import Layout, load_case
 from thinkgrasp.sim.piles import Pile
 from thinkgrasp.sim.scenes import is_takeable, published
 from thinkgrasp.sim.world import World
@@ -146,3 +146,34 @@ def test_a_published_layout_becomes_a_pile(case: str):
     assert (np.abs(x - 0.5) < 0.25).all()
     assert (np.abs(y) < 0.25).all()
     assert len(scene.visible_fractions) == len(layout.goals)
+
+
+SMALL_LAYOUT = Layout(
+    "case",
+    "I need a fruit",
+    (0,),
+    ("a/1", "a/2"),
+    ("pear", "gelatin box"),
+    np.stack([make_transform(np.eye(3), np.array([0.5, y, 0.1])) for y in (-0.1, 0.1)]),
+)
+
+
+def test_a_published_pile_that_does_not_come_to_rest_is_made_of_other_stand_ins(monkeypatch):
+    settle, results = Pile.settle, [False, True]
+    monkeypatch.setattr(Pile, "settle", lambda pile: settle(pile) and results.pop(0))
+    scene = published(SMALL_LAYOUT, seed=3)
+    monkeypatch.undo()
+    first, again = published(SMALL_LAYOUT, seed=3), SMALL_LAYOUT.objects(3)
+    assert (scene.tries, first.tries, scene.spec.seed) == (2, 1, 3)
+    assert [o.name for o in scene.spec.objects] == list(SMALL_LAYOUT.names)
+    assert [o.bounds_m.tolist() for o in first.spec.objects] == [o.bounds_m.tolist() for o in again]
+    assert all(not np.array_equal(a.bounds_m, b.bounds_m) for a, b in zip(scene.spec.objects, again, strict=True))
+    assert_lies_well(scene)
+
+
+def test_a_published_pile_that_never_comes_to_rest_is_given_up(monkeypatch):
+    monkeypatch.setattr(Pile, "settle", lambda pile: False)
+    with pytest.raises(
+        InputError, match=r"no pile of 'case' came to rest .* with seed 3 in 4 tries; take another seed"
+    ):
+        published(SMALL_LAYOUT, seed=3)

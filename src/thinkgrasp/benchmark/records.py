@@ -230,7 +230,7 @@ class RecordLog:
 
     Args:
         folder: Where it is or will be.
-        drop: Finished episodes to forget, so that they can run again.
+        drop: Finished episodes to forget, so that they can run again; a pile that failed is forgotten with its last.
 
     Raises:
         ConfigError: Another process is writing.
@@ -250,6 +250,9 @@ class RecordLog:
             del self.records.episodes[key]
         for key in self.records.steps.keys() - self.records.episodes.keys():
             del self.records.steps[key]
+        used = {SceneKey(*key[1:]) for key in self.records.episodes}
+        for key in [key for key, scene in self.records.scenes.items() if scene.error and key not in used]:
+            del self.records.scenes[key]
         self._rewrite()
         self._file = self._path.open("ab")
 

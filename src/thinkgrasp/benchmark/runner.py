@@ -117,14 +117,14 @@ def run_benchmark(
         folder: Gets benchmark.json and records.jsonl.
         source: Where it runs: `local_workers` or `ray_workers`.
         tell: Gets one line of progress per episode.
-        retry_crashed: Run those again that crashed.
+        retry_crashed: Run those again that crashed or had no pile.
 
     Raises:
         ConfigError: A method cannot run here; another process writes to the folder, or it holds results of other piles
             or other methods.
         InputError: The folder cannot be used, or holds what is no benchmark.
     """
-    with RecordLog(folder, drop=lambda episode: retry_crashed and episode.end == CRASHED) as log:
+    with RecordLog(folder, drop=lambda episode: retry_crashed and episode.end in (CRASHED, NO_SCENE)) as log:
         if (folder / PLAN_FILE).exists():
             plan = read_plan(folder).merged(plan)
         groups = deque(missing_groups(plan, log.records))

@@ -51,7 +51,7 @@ class BenchRun:
     again: Annotated[Path | None, arg(metavar="DIR")] = None
     """Run the benchmark of this folder once more, into --out."""
     retry_crashed: bool = False
-    """Run episodes again that crashed."""
+    """Run episodes again that crashed or had no pile."""
     debug: bool = False
     """Show the traceback of an error."""
 

@@ -41,6 +41,7 @@ HIDING_OBJECTS = 12
 HEAVY_OBJECTS = (20, 30)
 SELECTIONS, TRIES_PER_SELECTION = 60, 2
 """How often objects are chosen, and piles made of the same objects, before it is given up."""
+TRIES_PER_LAYOUT = 4
 VIEW_SIZE = (224, 224)
 
 
@@ -138,7 +139,7 @@ def published(layout: Layout, *, seed: int = 0, own: Mapping[str, SimObject] | N
     """Drop the objects of a published layout as its file says, with the same instruction and goals.
 
     Catalogue objects of the same kind stand in for the published ones, so that the pile is alike, not equal. What falls
-    out of the workspace is put back.
+    out of the workspace is put back. A pile that does not come to rest is made anew with other stand-ins.
 
     Args:
         layout: From `thinkgrasp.sim.paper_cases.load_case`.
@@ -146,16 +147,21 @@ def published(layout: Layout, *, seed: int = 0, own: Mapping[str, SimObject] | N
         own: Objects to use instead of stand-ins, by published id.
 
     Raises:
-        InputError: `own` names an id that the layout does not have, or the pile does not come to rest.
+        InputError: `own` names an id that the layout does not have, or no pile comes to rest.
     """
-    objects = layout.objects(seed, own)
-    pile = Pile(World(objects, robot=False), _rng(seed, layout.name))
-    for index, T in enumerate(layout.poses):
-        pile.drop_at(index, T)
-    if not pile.settle():
-        raise InputError(f"the pile of {layout.name!r} does not come to rest inside the workspace with seed {seed}")
-    spec = SceneSpec(layout.instruction, objects, layout.goals, pile.drops, seed, None)
-    return PiledScene(spec, pile.world.poses(), _shares(pile.world, layout.goals), 1)
+    rng = _rng(seed, layout.name)
+    for tries in range(1, TRIES_PER_LAYOUT + 1):
+        objects = layout.objects(seed if tries == 1 else int(rng.integers(2**31)), own)
+        pile = Pile(World(objects, robot=False), rng)
+        for index, T in enumerate(layout.poses):
+            pile.drop_at(index, T)
+        if pile.settle():
+            spec = SceneSpec(layout.instruction, objects, layout.goals, pile.drops, seed, None)
+            return PiledScene(spec, pile.world.poses(), _shares(pile.world, layout.goals), tries)
+    raise InputError(
+        f"no pile of {layout.name!r} came to rest inside the workspace with seed {seed} in {TRIES_PER_LAYOUT} tries; "
+        "take another seed"
+    )
 
 
 def choose(
