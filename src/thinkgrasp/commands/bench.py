@@ -122,7 +122,7 @@ class BenchRun:
 class BenchReport:
     """Write report.md, report.html and rows.tex from the results of one or several folders."""
 
-    folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="DIR ...")]
+    folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="DIR ...", help_behavior_hint="(required)")]
     """Folders of `bench run`; the report is written into the first."""
     reference: Annotated[str | None, arg(metavar="METHOD")] = None
     """The method that the others are tested against; by default the first."""
@@ -145,7 +145,9 @@ class BenchCompare:
     """Compare two result folders, episode by episode where they share methods and piles."""
 
     a: Annotated[Positional[Path], arg(metavar="A")]
+    """Folder of `bench run`."""
     b: Annotated[Positional[Path], arg(metavar="B")]
+    """Another one, whose results are set against those of A."""
     debug: bool = False
     """Show the traceback of an error."""
 
