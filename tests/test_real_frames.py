@@ -12,6 +12,7 @@ import pytest
 from thinkgrasp import Frame, load_frame, make_pipeline
 from thinkgrasp.memory import Memory
 from thinkgrasp.perception import GeometricPerception
+from thinkgrasp.pipeline import Pipeline
 from thinkgrasp.planners.offline import OfflinePlanner
 from thinkgrasp.types import Decision, Scene
 
@@ -37,6 +38,18 @@ class OnePerceptionPerFrame:
 @lru_cache(maxsize=1)
 def perception() -> OnePerceptionPerFrame:
     return OnePerceptionPerFrame()
+
+
+@lru_cache(maxsize=1)
+def offline() -> Pipeline:
+    pipeline = make_pipeline("offline")
+    pipeline.scene = perception()
+    return pipeline
+
+
+@lru_cache(maxsize=128)
+def decide(name: str, text: str) -> Decision:
+    return offline().decide(frame(name), text)
 
 
 @lru_cache(maxsize=8)
@@ -72,10 +85,7 @@ def grasps_it(decision: Decision, boxes: list[list[float]]) -> bool:
 
 
 def failures(path: Path) -> list[str]:
-    pipeline = make_pipeline("offline")
-    pipeline.scene = perception()
-    asked = instructions(path)
-    return [f"{n}: {text}" for n, text, boxes in asked if not grasps_it(pipeline.decide(frame(n), text), boxes)]
+    return [f"{n}: {text}" for n, text, boxes in instructions(path) if not grasps_it(decide(n, text), boxes)]
 
 
 def test_annotated_instructions_are_grasped() -> None:
@@ -107,13 +117,11 @@ def occupied_voxels(view: Frame, voxel_m: float = 0.003) -> np.ndarray:
 
 
 def test_every_returned_grasp_is_clear_of_every_point() -> None:
-    pipeline = make_pipeline("offline")
-    pipeline.scene = perception()
-    gripper = pipeline.gripper
+    gripper = offline().gripper
     voxels = {name: occupied_voxels(frame(name)) for name in ("000000", "000004", "graspnet")}
     checked = 0
     for name, text, _ in instructions(ANNOTATED) + instructions(DATA / "real_rephrased.json"):
-        decision = pipeline.decide(frame(name), text)
+        decision = decide(name, text)
         if decision.grasp is None:
             continue
         support = decision.scene.support

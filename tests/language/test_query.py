@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thinkgrasp.language.query import parse
+from thinkgrasp.language.query import MAX_RELATIONS, parse
 from thinkgrasp.language.wanted import ColorWish, Query, RelationWish, Superlative, Wanted
+from thinkgrasp.pipeline import MAX_INSTRUCTION_CHARS
 
 
 def said(query: Query) -> list[dict[str, object]]:
@@ -281,8 +282,22 @@ def test_any_text_parses(text: str) -> None:
 WORDS = "the|red|or|and|not|mug|by|handle|left|of|between|box|to|cut|orange|can|in|,|."
 
 
-@given(st.lists(st.sampled_from(WORDS.split("|"))))
+@given(st.lists(st.sampled_from(WORDS.split("|")), max_size=MAX_RELATIONS))
 def test_any_mix_of_known_words_parses(words: list[str]) -> None:
     query = parse(" ".join(words))
     assert all(w.understood for w in (*query.wanted, *query.excluded))
     assert query.unknown == ()
+
+
+def test_the_first_relations_of_a_sentence_are_read_and_the_others_are_not_understood() -> None:
+    few = "the mug" + " left of the box and" * MAX_RELATIONS
+    assert parse(few).unknown == ()
+    assert parse(few + " behind the bowl").unknown == ("behind",)
+    assert parse(few + " behind the bowl").wanted == parse(few + " the bowl").wanted
+    assert parse(few + ". The plate behind the bowl.").unknown == ()
+
+
+@pytest.mark.parametrize("words", [",", "left of ", "between ", "hold, between, a "])
+def test_the_longest_instruction_may_be_nothing_but(words: str) -> None:
+    text = words * (MAX_INSTRUCTION_CHARS // len(words))
+    assert not parse(text).understood

@@ -35,7 +35,7 @@ def assert_lies_well(scene: scenes.PiledScene) -> None:
 
 @pytest.mark.parametrize("visibility", [None, "visible", "partly", "hidden"])
 def test_clutter_is_as_asked_for(visibility):
-    scene = scenes.clutter("I need a fruit", 4, visibility=visibility)
+    scene = scenes.clutter("I need a fruit", 3, visibility=visibility)
     n = len(scene.spec.objects)
     assert 8 <= n <= 15
     assert scene.poses.shape == scene.spec.drops.shape == (n, 4, 4)

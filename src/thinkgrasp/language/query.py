@@ -16,6 +16,8 @@ from thinkgrasp.language.wanted import ColorWish, Query, RelationWish, Superlati
 T = TypeVar("T")
 
 MAX_LANDMARK_DEPTH = 2
+MAX_RELATIONS = 16
+"""Of one sentence; further ones are not understood. The time to read a sentence grows with their number's cube."""
 
 _USE_MARKERS = frozenset(
     {"to", "can", "for", "could", "i", "me", "we", "must", "should", "will", "wanna", "gonna", "let", "and", "then"}
@@ -42,7 +44,7 @@ def parse(text: str) -> Query:
     unknown: list[str] = []
     asked = False
     for sentence in read(text):
-        lexemes = _without_modal_can(sentence)
+        lexemes = _with_few_relations(_without_modal_can(sentence))
         unknown += [lexeme.text for lexeme in lexemes if _is_unknown(lexeme)]
         for chunk in _chunks(lexemes):
             thing = _Parser(chunk.lexemes).parse()
@@ -70,6 +72,13 @@ def _without_modal_can(lexemes: list[Lexeme]) -> list[Lexeme]:
                 lexeme = Lexeme(lexeme.words, {"noise": "can"})
         read_again.append(lexeme)
     return read_again
+
+
+def _with_few_relations(lexemes: list[Lexeme]) -> list[Lexeme]:
+    """Take every relation after the first MAX_RELATIONS for an unknown word."""
+    relations = [i for i, lexeme in enumerate(lexemes) if lexeme.has("relation")]
+    beyond = set(relations[MAX_RELATIONS:])
+    return [Lexeme(lexeme.words, {}) if i in beyond else lexeme for i, lexeme in enumerate(lexemes)]
 
 
 def _is_unknown(lexeme: Lexeme) -> bool:
@@ -128,11 +137,11 @@ def _splits(before: list[Lexeme], after: list[Lexeme], negated: bool) -> bool:
         rest.append(lexeme)
     if negated:
         return _has_head(rest)
-    if _starts_with_relation(rest):
+    if not _has_head(rest) or _starts_with_relation(rest):
         return False
     if any(x.senses.get("relation") == "between" for x in before):
         return False
-    return _has_head(before) and _has_head(rest)
+    return _has_head(before)
 
 
 def _starts_with_relation(lexemes: list[Lexeme]) -> bool:
